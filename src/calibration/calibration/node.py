@@ -22,7 +22,6 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
@@ -36,6 +35,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from calibration.health import Health, refuse_second
 from calibration.process_tree import UNUSABLE, Parent, on_end
+from calibration.rclpy_gaps import RCLError, given_parameters
 from calibration.transport import sockets_only
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.yaml_file import read_yaml
@@ -163,11 +163,12 @@ class CalibrationNode(Node):
 
     def _declare(self) -> None:
         own = self.get_fully_qualified_name()
-        for given in self._parameter_overrides:
-            if given not in self._table and not given.startswith(BUILT_IN):
-                raise ParameterError(own, given, "an unknown parameter", f"one of {', '.join(sorted(self._table))}")
+        overrides = given_parameters(self)
+        for name in overrides:
+            if name not in self._table and not name.startswith(BUILT_IN):
+                raise ParameterError(own, name, "an unknown parameter", f"one of {', '.join(sorted(self._table))}")
         for one in self._table.values():
-            lists, given = isinstance(one.default, list), self._parameter_overrides.get(one.name)
+            lists, given = isinstance(one.default, list), overrides.get(one.name)
             default = one.default or NO_WORDS if lists else one.default
             empty = lists and given is not None and given.type_ == Parameter.Type.NOT_SET  # so a file's [] arrives
             expected = f"{type(one.default).__name__}{_range(one)}"

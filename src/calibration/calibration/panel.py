@@ -21,10 +21,10 @@ from calibration_interfaces.msg import SessionEvent
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 
-from calibration.background import in_executor
 from calibration.conversions import joint_positions, to_header
 from calibration.health import FRESH
 from calibration.node import CalibrationNode, Declared, ParameterError, run
+from calibration.rclpy_gaps import in_executor
 from calibration.topics import EVENT, STATE
 from calibration.web.access import EVERY, Control, Session, bracketed, origins
 from calibration.web.folder import Folder
@@ -118,9 +118,9 @@ class PanelNode(CalibrationNode):
     def _look(self) -> None:
         """Take what has come, and hand it to the pages."""
         now = time.monotonic()
-        joints = self._joints.take()
+        joints = self._joints.last()
         q = None if joints is None else joint_positions(joints, self._cell.robot.joints)
-        message = self._states.take()
+        message = self._states.last()
         state = None if message is None else plain(message)
         self._web.do(lambda: self._show(state, None if q is None else [round(float(one), 5) for one in q], now))
 

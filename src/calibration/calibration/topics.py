@@ -12,13 +12,11 @@ import importlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
-from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos import QoSCompatibility as Compatibility
 
+from calibration.rclpy_gaps import IN_A_TURN, waiting
 from calibration_core.cell import Cell
 from calibration_core.errors import InputError, quoted
 from calibration_core.recording.definitions.own import CONDITIONS_TYPE, STEP_TYPE, TEXT_TYPE
@@ -28,7 +26,6 @@ SAMPLES_DEPTH = 2000  # two seconds at 1 kHz: a keep-last history overwrites wit
 EVENTS_DEPTH = 1000
 NO_PACKAGE = "no such package"
 FROM_SOURCE = {"industrial_msgs", "fanuc_msgs", "kuka_driver_interfaces"}  # not released for Jazzy
-IN_A_TURN = 100  # samples that are taken before anything else has its turn
 
 
 class Quality(enum.Enum):
@@ -82,6 +79,7 @@ ROBOT_STATE = Topic("/calibration/robot_state", "calibration_interfaces/msg/Robo
 PERMISSION = Topic("/calibration/permission", "calibration_interfaces/msg/Permission", Quality.PULSE)
 EVENT = Topic("/calibration/event", "calibration_interfaces/msg/SessionEvent", Quality.EVENTS)
 READING = Topic("/calibration/reading", "calibration_interfaces/msg/Reading", Quality.EVENTS)
+PRESENT_WRENCH = Topic("/calibration/wrench", StreamKind.WRENCH.value, Quality.PULSE)  # tared, mean of half a second
 TARE = Topic("/calibration/tare", "calibration_interfaces/msg/TareEvent", Quality.EVENTS)
 SAMPLE_CHECK = Topic("/calibration/sample_check", "calibration_interfaces/msg/SampleCheck", Quality.SAMPLES)
 MOTION_PULSE = Topic("/calibration/motion_pulse", "calibration_interfaces/msg/MotionPulse", Quality.PULSE)
@@ -155,21 +153,6 @@ def subscription_profile(node: Node, name: str, depth: int = SAMPLES_DEPTH) -> Q
     )
 
 
-class Polled(CallbackGroup):
-    """A group whose subscriptions never wake the executor: what they hold is taken when somebody looks."""
-
-    def can_execute(self, _entity: Any) -> bool:
-        """Nothing is ever due."""
-        return False
-
-    def beginning_execution(self, _entity: Any) -> bool:
-        """Nothing ever begins."""
-        return False
-
-    def ending_execution(self, _entity: Any) -> None:
-        """Nothing ever ends."""
-
-
 def subscribe_to_samples(
     node: Node,
     kind: Any,
@@ -178,7 +161,6 @@ def subscribe_to_samples(
     quality: QoSProfile,
     *,
     numbered: bool = False,
-    every: float = 0.0,
     **more: Any,
 ) -> Any:
     """Subscribe to a stream; where several samples wait, all of them are taken in one turn.
@@ -193,8 +175,6 @@ def subscribe_to_samples(
         callback: What gets the messages, one at a time, in their order.
         quality: Profile of the subscription.
         numbered: Whether the callback gets, besides, the number that the message's publisher gave it.
-        every: s of wall time between two looks at what waits; 0: the callback gets each at once.  An executor that is
-            woken a thousand times a second does little else.
         more: Further arguments of `create_subscription`.
 
     Returns:
@@ -209,27 +189,12 @@ def subscribe_to_samples(
 
     made: list[Any] = []  # the executor may be quicker than the thread that subscribes
 
-    def take_waiting(most: int = IN_A_TURN) -> None:
-        if not made:
-            return
-        (subscription,) = made
-        try:
-            with subscription.handle:
-                for _ in range(most):
-                    waiting = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-                    if waiting is None:
-                        return
-                    hand(*waiting)
-        except InvalidHandle:  # the subscription was destroyed in this turn
-            return
-
     def take(message: Any, info: Mapping[str, Any]) -> None:
         hand(message, info)
-        take_waiting(IN_A_TURN - 1)
+        if made:
+            for one in waiting(made[0], IN_A_TURN - 1):
+                hand(*one)
 
-    if every:
-        more["callback_group"] = Polled()
-        node.create_timer(every, take_waiting, clock=Clock(clock_type=ClockType.STEADY_TIME))
     made.append(node.create_subscription(kind, name, take, quality, **more))
     return made[0]
 

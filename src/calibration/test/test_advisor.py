@@ -128,7 +128,6 @@ class Runner:
     """Takes what is posted."""
 
     posted: list[Any] = dataclasses.field(default_factory=list)
-    observer: Any = dataclasses.field(default_factory=SimpleNamespace)
 
     def post(self, event: Any) -> None:
         self.posted.append(event)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-import threading
-import time
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,13 +18,10 @@ from calibration_interfaces import msg
 from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from hypothesis import given
 from hypothesis import strategies as st
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from calibration import conversions as to
-from calibration.background import Background, in_executor
 from calibration.topics import Quality, incompatible, message_class, offered_qos, profile, subscription_profile
 from calibration_core.observations.average import average
 from calibration_core.observations.samples import Problem
@@ -151,72 +148,35 @@ def test_message_classes() -> None:
         message_class("no_such_msgs/msg/Thing")
 
 
-# --- work beside the executor -----------------------------------------------------------------------------------
-
-
-def test_waiting_does_not_hold_the_executor(spinning: Any) -> None:
-    node = spinning.plain("server")
-    released, group = threading.Event(), ReentrantCallbackGroup()
-
-    async def slow(_request: Any, response: Any) -> Any:
-        response.success = await Background(node, lambda: released.wait(10.0))
-        return response
-
-    def quick(_request: Any, response: Any) -> Any:
-        response.message = "here"
-        return response
-
-    node.create_service(Trigger, "slow", slow, callback_group=group)
-    node.create_service(Trigger, "quick", quick)
-    client = spinning.plain("client")
-    waiting, other = client.create_client(Trigger, "slow"), client.create_client(Trigger, "quick")
-    assert waiting.wait_for_service(15.0)
-    assert other.wait_for_service(15.0)
-    future = waiting.call_async(Trigger.Request())
-    assert other.call(Trigger.Request()).message == "here"
-    assert not future.done()
-    released.set()
-    end = time.monotonic() + 10.0
-    while not future.done() and time.monotonic() < end:
-        time.sleep(0.005)
-    assert future.result().success
-
-
-def test_errors_are_raised_where_the_result_is_awaited(spinning: Any) -> None:
-    node = spinning.plain("server")
-
-    def fail() -> bool:
-        message = "deliberate"
-        raise KeyError(message)
-
-    async def answer(_request: Any, response: Any) -> Any:
-        try:
-            await Background(node, fail)
-        except KeyError as error:
-            response.message = str(error)
-        return response
-
-    node.create_service(Trigger, "failing", answer, callback_group=ReentrantCallbackGroup())
-    client = spinning.plain("client").create_client(Trigger, "failing")
-    assert client.wait_for_service(15.0)
-    assert client.call(Trigger.Request()).message == "'deliberate'"
-
-
-def test_what_is_short_is_done_by_the_thread_that_spins(spinning: Any, until: Any) -> None:
-    node, where = spinning.plain("short"), list[str]()
-    in_executor(node, lambda: where.append(threading.current_thread().name))
-    until(lambda: where)
-    assert where != [threading.current_thread().name]
-
-
-def test_where_nobody_spins_it_is_done_at_once(context: Any) -> None:
-    import rclpy
-
-    node, where = rclpy.create_node("alone", context=context), list[str]()
-    in_executor(node, lambda: where.append(threading.current_thread().name))
-    assert where == [threading.current_thread().name]
-    node.destroy_node()
-
-
 def test_an_outcome_is_one_line() -> None:
     assert to.to_outcome(msg.Outcome.OK, "first\nsecond\n").text == "first; second"
+
+
+def test_joint_states_are_read_as_they_are_sent() -> None:
+    """Frames, orders and other devices by turns, as a driver and a gripper send them on one topic."""
+    from rclpy.serialization import serialize_message
+
+    reader = to.JointReader(("a", "b"))
+    turned = JointState(name=["b", "x", "a"], position=[2.0, 9.0, 1.0], velocity=[0.0] * 3)
+    turned.header = to.to_header(1_000_000_007, "base")
+    for message in (
+        JointState(header=to.to_header(5), name=["a", "b"], position=[0.1, 0.2]),
+        turned,
+        JointState(name=["gripper"], position=[0.5]),
+        JointState(name=["a", "b"], position=[0.1]),
+        JointState(header=to.to_header(6), name=["a", "b"], position=[math.nan, 0.3], effort=[1.0, 2.0]),
+        JointState(header=to.to_header(7), name=["a", "b"], position=[0.2, 0.4], effort=[1.0, 2.0]),
+    ):
+        read, q = reader.read(serialize_message(message)), to.joint_positions(message, ("a", "b"))
+        assert (read is None) == (q is None)
+        if read is not None:
+            assert read[0] == to.stamp_ns(message.header.stamp)
+            np.testing.assert_array_equal(read[1], q)
+
+
+def test_joint_states_of_another_byte_order() -> None:
+    order = ">iI I2s2x I I2s2x I2s2x I dd I I"
+    stamp, joints = (3, 4, 2, b"f\0"), (2, 2, b"a\0", 2, b"b\0")
+    body = struct.pack(order.replace(" ", ""), *stamp, *joints, 2, 0.5, 0.25, 0, 0)
+    stamp_read, q = to.JointReader(("b", "a")).read(b"\0\0\0\0" + body) or (0, np.zeros(0))
+    assert (stamp_read, q.tolist()) == (3_000_000_004, [0.25, 0.5])

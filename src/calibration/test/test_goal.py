@@ -24,8 +24,8 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.parameter import Parameter
 from sequencer_world import CELL, JOINTS, PULL, Operator, World, overrides
 
-from calibration.background import in_executor
 from calibration.conversions import to_outcome
+from calibration.rclpy_gaps import in_executor
 from calibration.recorder.recorder import RecorderNode
 from calibration.sequencer.goal import TABLE, Answer, Goal, GoalEndedError, Request, Stage
 from calibration.sequencer.sequencer import SequencerNode
@@ -254,9 +254,10 @@ class Ending:
         return Draw(absent, str(self.rng.choice(WAYS)), stage, float(after), float(back))
 
     def come(self, stage: Stage) -> bool:
-        """Whether the goal is at a stage; what comes before the run passes quickly."""
+        """Whether the goal has come to a stage; what comes before the run passes quickly."""
         goal = self.node.runs.goal
-        return goal is not None and (goal.stage is stage or (stage in PREPARING and goal.stage not in PREPARING))
+        past = stage is Stage.ACCEPTED or (goal is not None and stage in PREPARING and goal.stage not in PREPARING)
+        return goal is not None and (goal.stage is stage or past)
 
     def accepted(self, number: int) -> Any:
         end = time.monotonic() + 30.0

@@ -22,7 +22,6 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from calibration.background import in_executor, wait_until
 from calibration.cell.permission import SILENT, PermissionWatch
 from calibration.motion import action_motion, follow_joint_trajectory
 from calibration.motion.arrival import ArrivalRules, Joints
@@ -36,6 +35,7 @@ from calibration.motion.messages import hold, to_duration, to_joint_trajectory
 from calibration.motion.simulated import simulated
 from calibration.motion.stop import DESPERATE, CancelGoals, Stopper
 from calibration.process_tree import BACKENDS
+from calibration.rclpy_gaps import in_executor, wait_until
 from calibration_core.errors import InputError
 from calibration_core.motion.trajectory import Trajectory
 from calibration_core.timeseries import NANOSECONDS

@@ -15,21 +15,16 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("calibration_interfaces")
 
-from calibration_interfaces.action import Measure
 from calibration_interfaces.msg import Outcome
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
-from rclpy.action import ActionServer
 from sequencer_world import CELL, JOINTS, Operator, ended, now, overrides
 from test_executables import command
 from test_goal import Busy
 
-from calibration.conversions import Mean, to_average, to_outcome
-from calibration_core.cell import load_cell
 from calibration_core.files.yaml_file import yaml_text
-from calibration_core.observations.average import Average
 
 JOINT_RATE, WRENCH_RATE = 500.0, 1000.0  # Hz: UR e series; a sensor of ATI, Bota or SCHUNK
-SHARE = 0.5  # of a core, at most; 0.33 was seen on a busy machine
+SHARE = 0.2  # of a core, at most
 TICK = 1.0 / os.sysconf("SC_CLK_TCK")  # s
 
 
@@ -39,9 +34,7 @@ class Fast(Busy):
     def __init__(self, spinning: Any) -> None:
         super().__init__(spinning)
         self.absent = "joint_states"  # of the slow stream
-        self.force_torque = ActionServer(self.node, Measure, "force_torque/measure", self._feel)
-        topic = load_cell(CELL).topics.wrench.lstrip("/")
-        self.wrenches = self.node.create_publisher(WrenchStamped, topic, 100)
+        self.wrenches = self.node.create_publisher(WrenchStamped, "input/wrench", 100)
         self.over, self.sent = threading.Event(), 0
         self.thread = threading.Thread(target=self._stream, daemon=True)
         self.thread.start()
@@ -57,12 +50,6 @@ class Fast(Busy):
             self.sent += 1
             time.sleep(max(0.0, begun + self.sent / WRENCH_RATE - time.monotonic()))
 
-    async def _feel(self, goal: Any) -> Any:
-        at = time.time_ns()
-        mean = Mean("wrench", "ft", at - 10**8, at, Average(np.zeros(6), 1e-4 * np.eye(6), 100, 100.0, 0))
-        goal.succeed()
-        return Measure.Result(outcome=to_outcome(Outcome.OK, ""), averages=[to_average(mean)])
-
 
 def used(process: int) -> float:
     """Processor time of a process, s."""
@@ -77,11 +64,15 @@ def test_a_run_at_the_rates_of_real_drivers(
     given = {"motion.backend": "simulated", "force_torque": "force_torque/measure", "server_wait": 30.0}
     file, plan = tmp_path / "own.yaml", tmp_path / "plan.yaml"
     values = {one.name: one.value for one in overrides(**given)}
-    file.write_text(yaml_text({"/**/sequencer": {"ros__parameters": values}}), "utf-8")
+    nodes = {"/**/sequencer": values, "/**/force_torque": {"cell": CELL}}
+    file.write_text(yaml_text({name: {"ros__parameters": given} for name, given in nodes.items()}), "utf-8")
     ways = [{"number": i, "q": [0.15 * (-1) ** i] * 6, "steps": [[0.0] * 6]} for i in (1, 2, 3)]
     plan.write_text(yaml_text({"schema": 1, "joints": JOINTS, "configurations": ways}), "utf-8")
     cell, operator = Fast(spinning), Operator(spinning)
-    process = subprocess.Popen(command("sequencer", "--params-file", str(file)), env=source_environment)
+    process, sensor = (
+        subprocess.Popen(command(node, "--params-file", str(file)), env=source_environment)
+        for node in ("sequencer", "force_torque")
+    )
     try:
         assert operator.plan.wait_for_server(60.0)
         handle = operator.measure(plan, tmp_path / "session")
@@ -97,5 +88,6 @@ def test_a_run_at_the_rates_of_real_drivers(
     finally:
         cell.over.set()
         cell.thread.join()
-        process.terminate()
-        assert process.wait(60.0) == 0
+        for one in (process, sensor):
+            one.terminate()
+        assert [one.wait(60.0) for one in (process, sensor)] == [0, 0]

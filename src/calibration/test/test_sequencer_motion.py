@@ -73,8 +73,8 @@ def test_another_robot_than_the_cells_is_not_moved(
     other = re.sub(r'upper="[^"]*"', 'upper="0.9"', text, count=1)
     described.publish(String(data=other))  # another one, in the middle of a run
     until(lambda: node.runner.sequence.paused)
-    until(lambda: "/robot_description is another robot than" in node.runner.observer.question)
-    assert "limits of joint_1" in node.runner.observer.question
+    until(lambda: "/robot_description is another robot than" in node.runner.sequence.snapshot().question)
+    assert "limits of joint_1" in node.runner.sequence.snapshot().question
     assert operator.says("stop").success
     assert ended(handle).outcome.code == Outcome.STOPPED
     refused = operator.rejected(until, plan, tmp_path / "second")

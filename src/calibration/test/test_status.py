@@ -1,4 +1,4 @@
-"""The state of the cell: what the observer keeps of a run, what is wrong, and the way out."""
+"""The state of the cell: how a run stands, what is wrong, and the way out."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from calibration_interfaces.msg import (
 
 from calibration.cell.reading_checks import PresentLoad
 from calibration.health import LEASE
+from calibration.sequencer.feedback import ProcedureReport
 from calibration.status import faults as wrong
-from calibration.status.observer import Observer, Party, Verdict
-from calibration.status.procedure import ProcedureReport
 from calibration.status.whole import Whole
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.sequence import Sequence
+from calibration_core.measurement.snapshot import Party, ReadingVerdict, Snapshot
 from calibration_core.measurement.target_check import PUT_RIGHT
 from calibration_core.planning.plans.measurement_queue import SequenceRules
 from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
@@ -45,10 +45,9 @@ NAMES = ("guard", "sequencer")
 
 @dataclasses.dataclass
 class Watched:
-    """A procedure and who watches it."""
+    """A procedure, and how it stands."""
 
     sequence: Sequence
-    observer: Observer
     now: float = 0.0
     commands: tuple[Any, ...] = ()
 
@@ -56,18 +55,21 @@ class Watched:
         self.now += 1.0
         event = kind(now=self.now, **fields)
         self.commands = self.sequence.handle(event)
-        self.observer.hear(event, self.commands)
+
+    @property
+    def stands(self) -> Snapshot:
+        return self.sequence.snapshot()
 
     def answer(self, kind: type, **fields: Any) -> None:
         request = next(one.request for one in reversed(self.commands) if hasattr(one, "request"))
         self.tell(kind, request=request, **fields)
 
 
-def procedure(*, loaded: bool = False) -> Watched:
+def procedure(*, by_device: bool = False, loaded: bool = False) -> Watched:
     one = PlannedConfiguration(1, np.full(6, 0.1), np.array([np.zeros(6), PULL]))
     plan = Plan("robot", tuple(f"joint_{i}" for i in range(1, 7)), (one,), np.empty((0, 6)))
-    sequence = Sequence(plan, SequenceRules(readings=2, attempts=2, startup_cycles=0), loaded=loaded)
-    return Watched(sequence, Observer(sequence))
+    rules = SequenceRules(readings=2, attempts=2, startup_cycles=0)
+    return Watched(Sequence(plan, rules, by_device=by_device, loaded=loaded))
 
 
 @pytest.fixture
@@ -81,47 +83,51 @@ def begin(watched: Watched) -> None:
 
 
 def test_a_run_as_people_see_it(watched: Watched) -> None:
-    observer = watched.observer
     begin(watched)
-    assert (observer.waits_for, observer.waiting) == (Party.GUARD, "guard: permission to move")
+    assert (watched.stands.waits_for, watched.stands.waiting) == (Party.GUARD, "guard: permission to move")
     watched.tell(m.PermissionChanged, permitted=True)
     if watched.sequence.paused:  # a run may begin held
         watched.tell(m.Resume)
-    assert (observer.waits_for, observer.text) == (Party.ROBOT, "moving to configuration 1")
-    assert observer.goal is not None
-    assert np.array_equal(observer.goal, np.full(6, 0.1))
+    assert (watched.stands.waits_for, watched.stands.text) == (Party.ROBOT, "moving to configuration 1")
+    assert watched.stands.goal == (0.1,) * 6
     watched.answer(m.Arrived)
-    assert observer.text == "waiting for standstill at configuration 1, step 1 of 2"
-    assert observer.goal is None
+    assert watched.stands.text == "waiting for standstill at configuration 1, step 1 of 2"
+    assert watched.stands.goal == ()
     watched.answer(m.Settled)
-    assert (observer.waits_for, observer.waiting) == (Party.INSTRUMENTS, "instruments: a settled window")
+    assert (watched.stands.waits_for, watched.stands.waiting) == (Party.INSTRUMENTS, "instruments: a settled window")
     watched.answer(m.ReadingConfirmed)
-    assert (observer.reading.verdict, observer.readings) == (Verdict.KEPT, 1)
-    assert observer.load_awaited
-    assert (observer.waits_for, observer.waiting) == (
+    assert (watched.stands.reading.verdict, watched.stands.readings) == (ReadingVerdict.KEPT, 1)
+    assert watched.stands.load_awaited
+    assert (watched.stands.waits_for, watched.stands.waiting) == (
         Party.OPERATOR, "operator: pull with (0, 0, -500) N, then confirm",
     )  # fmt: skip
-    observer.by_device = True
-    assert (observer.waits_for, observer.waiting) == (Party.LOAD_DEVICE, "load device: the load")
-    observer.by_device = False
     watched.answer(m.LoadReached)
     watched.answer(m.Settled)
     watched.answer(m.ReadingFailed, reason="the beam is broken")
-    assert (observer.reading.verdict, observer.reading.text) == (Verdict.REPEATED, "the beam is broken")
+    assert (watched.stands.reading.verdict, watched.stands.reading.text) == (
+        ReadingVerdict.REPEATED,
+        "the beam is broken",
+    )
     watched.answer(m.Settled)
     watched.answer(m.ReadingFailed, reason="the beam is broken")
-    assert observer.waiting == "operator: release the load, then confirm"
+    assert watched.stands.waiting == "operator: release the load, then confirm"
     watched.answer(m.LoadReached)
-    assert observer.reading.verdict is Verdict.GIVEN_UP
-    assert (observer.attempt, observer.readings) == (1, 1)
+    assert watched.stands.reading.verdict is ReadingVerdict.GIVEN_UP
+    assert (watched.stands.attempt, watched.stands.readings) == (1, 1)
     watched.tell(m.Pause)
-    assert observer.waits_for is Party.OPERATOR
-    assert observer.text == "paused before the next motion or load step"
-    assert "resume" in observer.waiting
+    assert watched.stands.waits_for is Party.OPERATOR
+    assert watched.stands.text == "paused before the next motion or load step"
+    assert "resume" in watched.stands.waiting
     watched.tell(m.Resume)
-    assert observer.question == ""
+    assert watched.stands.question == ""
     watched.tell(m.Stop)
-    assert (observer.text, observer.waiting) == ("the run is over", "")
+    assert (watched.stands.text, watched.stands.waiting) == ("the run is over", "")
+
+
+def test_a_load_device_is_waited_for() -> None:
+    watched = procedure(by_device=True, loaded=True)
+    begin(watched)
+    assert (watched.stands.waits_for, watched.stands.waiting) == (Party.LOAD_DEVICE, "load device: the load's release")
 
 
 class Report:
@@ -143,7 +149,7 @@ def test_who_resumes_is_told_and_after_the_end_nothing_is_left(watched: Watched)
     report = ProcedureReport(node)
 
     def reported() -> tuple[bool, bool]:
-        report.publish(watched.sequence, watched.observer, lambda _: PresentLoad(), math.nan, moving=False)
+        report.publish(watched.sequence, lambda _: PresentLoad(), math.nan, moving=False)
         return node.published[-1].paused, node.published[-1].held
 
     begin(watched)
@@ -164,11 +170,11 @@ def test_who_resumes_is_told_and_after_the_end_nothing_is_left(watched: Watched)
 def test_a_load_of_another_run_is_named() -> None:
     watched = procedure(loaded=True)
     begin(watched)
-    assert (watched.observer.waits_for, watched.observer.waiting) == (
+    assert (watched.stands.waits_for, watched.stands.waiting) == (
         Party.OPERATOR, "operator: release the load that another run may have left on, then confirm",
     )  # fmt: skip
     watched.answer(m.LoadReached)
-    assert watched.observer.waits_for is Party.GUARD
+    assert watched.stands.waits_for is Party.GUARD
 
 
 def health(name: str, level: int = NodeHealth.OK, text: str = "", identifier: int = 7) -> NodeHealth:

@@ -17,8 +17,8 @@ from calibration_interfaces.msg import Outcome
 from rclpy.action import ActionClient
 from rclpy.node import Node
 
-from calibration.background import in_executor
 from calibration.conversions import Mean, from_average, to_stamp, to_wrench
+from calibration.rclpy_gaps import in_executor
 from calibration_core.timeseries import Float1D
 
 Answered = Callable[[Any, str], None]

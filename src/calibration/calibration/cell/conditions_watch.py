@@ -16,6 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Temperature
 
 from calibration.conversions import to_header, to_outcome
+from calibration.rclpy_gaps import Waiting
 from calibration.topics import CONDITIONS_QUALITY, ROBOT_STATE, profile
 from calibration_core import timeseries as core
 from calibration_core.identification.checks.conditions import NAMES, CellState, expected_ratio, judge
@@ -56,12 +57,14 @@ class ConditionsWatch:
         """Listen to thermometer and robot state."""
         node, topics = self._node, self._node.cell.topics
         newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-        node.create_subscription(Temperature, topics.temperature.lstrip("/"), self._on_temperature, newest)
+        self._temperatures = Waiting(node, Temperature, topics.temperature.lstrip("/"), newest)
         kept = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         node.create_subscription(RobotState, ROBOT_STATE.relative, self._on_state, kept)
 
-    def _on_temperature(self, message: Temperature) -> None:
-        self._thermometer.hear(self._node.now_ns() / NANOSECONDS, float(message.temperature))
+    def take(self) -> None:
+        """Take what the thermometer has said."""
+        for message in self._temperatures.take():
+            self._thermometer.hear(self._node.now_ns() / NANOSECONDS, float(message.temperature))
 
     @property
     def temperature(self) -> float:

@@ -13,8 +13,8 @@ from calibration_interfaces.msg import Outcome
 from calibration_interfaces.srv import Record
 from std_srvs.srv import Trigger
 
-from calibration.background import Until, called, wait_until
 from calibration.conversions import to_stamp
+from calibration.rclpy_gaps import Until, called, wait_until
 from calibration.topics import RECORDING
 
 CALL_TIME = 5.0  # s of wall time, the recorder has to answer, and to hear everything

@@ -20,7 +20,6 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
-from calibration.background import Background
 from calibration.compensation.messages import (
     pose_task_of,
     request_of,
@@ -30,6 +29,7 @@ from calibration.compensation.messages import (
 )
 from calibration.conversions import to_outcome
 from calibration.node import CalibrationNode, Declared, run
+from calibration.rclpy_gaps import Background
 from calibration_core.cell import load_cell
 from calibration_core.compensation.requests import Request
 from calibration_core.compensation.robot import CalibratedRobot

@@ -24,11 +24,11 @@ from calibration_interfaces.srv import IdentifyStiffness
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.qos import QoSProfile
 
-from calibration.background import Background
 from calibration.conversions import to_outcome
 from calibration.evaluation.markers import Look, to_markers
 from calibration.evaluation.worker import CancelledError, Worker
 from calibration.node import CalibrationNode, Declared, run
+from calibration.rclpy_gaps import Background
 from calibration.topics import MARKERS, RECORDING
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError

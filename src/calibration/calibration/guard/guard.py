@@ -13,7 +13,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from calibration_interfaces.msg import Outcome, Permission
@@ -34,6 +34,7 @@ from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.motion.stop import make_stop_path
 from calibration.node import CalibrationNode, run
 from calibration.process_tree import STANDSTILL
+from calibration.rclpy_gaps import Once
 from calibration.robot_state.adapter import Received, Report, assemble
 from calibration.robot_state.confirmation import Confirmation, checked, confirmed
 from calibration.topics import (
@@ -323,7 +324,7 @@ class GuardNode(CalibrationNode):
             return response
         self._proving = bytes(request.goal)
         proof.begin(now)
-        await _While(lambda: proof.running)
+        await Once(lambda: not proof.running)
         self._decide(time.monotonic())
         if proof.proven:
             response.outcome = to_outcome(Outcome.OK, f"seen: {self.stop_path.text}")
@@ -353,17 +354,6 @@ class GuardNode(CalibrationNode):
                 return
             time.sleep(0.02)
         self.get_logger().error(RUNS_ON)
-
-
-class _While:
-    """Awaits the end of a condition; the guard's pulse looks again and again."""
-
-    def __init__(self, condition: Callable[[], bool]) -> None:
-        self._condition = condition
-
-    def __await__(self) -> Generator[None, None, None]:
-        while self._condition():
-            yield
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -13,11 +13,11 @@ from calibration_interfaces.msg import Outcome
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 
-from calibration.background import Background, wait_until
 from calibration.conversions import Mean, Sample, joint_positions, stamp_ns, to_average, to_header, to_outcome
 from calibration.instruments.stream import Source, Stream
 from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.node import CalibrationNode, Declared
+from calibration.rclpy_gaps import Background, wait_until
 from calibration.topics import SAMPLE_CHECK, Quality, Topic, subscribe_to_samples, subscription_profile
 from calibration_core.cell import Cell, load_cell
 from calibration_core.observations.samples import Limits, Problem

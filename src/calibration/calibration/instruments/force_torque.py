@@ -5,6 +5,7 @@ A tare is subtracted from what is published and reported on its own topic; the u
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import sys
 import time
@@ -14,14 +15,15 @@ from typing import Any, TypeVar
 import numpy as np
 from calibration_interfaces.msg import Outcome, TareEvent
 from calibration_interfaces.srv import SelfTest, Tare
+from rclpy.clock import Clock, ClockType
 
-from calibration.background import Background
 from calibration.conversions import (
     FORCE_UNITS,
     SIGNS,
     TORQUE_UNITS,
     WRENCH_INPUTS,
     Mean,
+    Sample,
     to_header,
     to_outcome,
     to_tare,
@@ -31,7 +33,8 @@ from calibration.conversions import (
 from calibration.instruments.acquisition import POLL, AcquisitionNode, MeasuringError
 from calibration.instruments.stream import Stream
 from calibration.node import Declared, run
-from calibration.topics import TARE, Quality, Topic
+from calibration.rclpy_gaps import Background
+from calibration.topics import PRESENT_WRENCH, TARE, Quality, Topic
 from calibration_core.errors import InputError
 from calibration_core.identification.checks.sensor_test import evaluate_sensor_test, gravity_in_sensor
 from calibration_core.measurement.load_check import LoadCheck
@@ -39,10 +42,13 @@ from calibration_core.measurement.posture_check import Stood, movement_fault
 from calibration_core.measurement.unloaded import LoadMemory, Unloaded, memory_file
 from calibration_core.planning.plans.tolerances import DEFAULT_TOLERANCES
 from calibration_core.recording.messages.kinds import StreamKind
-from calibration_core.timeseries import Float1D
+from calibration_core.timeseries import NANOSECONDS, Float1D
 
 WRENCH = "wrench"
 JOINTS_WAIT = 2.0  # s of wall time, joint states of a window may come after its last sample
+PRESENT = 0.5  # s by the samples' stamps, over which the present wrench is averaged
+PRESENT_PERIOD = 0.02  # s of wall time between two of them
+PRESENT_SAMPLES = 1000  # at most
 T = TypeVar("T")
 
 PARAMETERS = (
@@ -92,6 +98,10 @@ class ForceTorqueNode(AcquisitionNode):
         self._forwards = self.resolve_topic_name(topic) != self.resolve_topic_name(output.relative)
         if self._forwards:
             self._publisher = self.create_publisher(output.message, output.relative, output.qos)
+        self._recent: collections.deque[Sample] = collections.deque(maxlen=PRESENT_SAMPLES)
+        self._published = 0  # stamp of the last sample in the present wrench, ns
+        self._present = self.create_publisher(PRESENT_WRENCH.message, PRESENT_WRENCH.relative, PRESENT_WRENCH.qos)
+        self.create_timer(PRESENT_PERIOD, self._publish_present, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._tare_events = self.create_publisher(TARE.message, TARE.relative, TARE.qos)
         self.add_source(topic, WRENCH_INPUTS[self.value("input_type")], self._on_wrench)
         self.create_service(Tare, "~/tare", self._on_tare, callback_group=self.group)
@@ -116,8 +126,20 @@ class ForceTorqueNode(AcquisitionNode):
         read = wrench_sample(message, *self._units)
         raw = self.stamped(dataclasses.replace(read, values=self._sign * read.values))
         tared = dataclasses.replace(raw, values=raw.values - self._bias)
-        if self._stream.take(tared, raw.stamp) and self._forwards:
-            self._publisher.publish(to_wrench_stamped(self.labelled(tared)))
+        if self._stream.take(tared, raw.stamp):
+            self._recent.append(tared)
+            if self._forwards:
+                self._publisher.publish(to_wrench_stamped(self.labelled(tared)))
+
+    def _publish_present(self) -> None:
+        """Tell what pulls now, where anything has come: who looks at the load needs no sample of its own."""
+        if not self._recent or self._recent[-1].stamp == self._published:
+            return
+        last = self._recent[-1]
+        self._published = last.stamp
+        lately = [one.values for one in self._recent if last.stamp - PRESENT * NANOSECONDS <= one.stamp <= last.stamp]
+        mean = dataclasses.replace(last, values=np.mean(lately, axis=0))
+        self._present.publish(to_wrench_stamped(self.labelled(mean)))
 
     # --- tare -------------------------------------------------------------------------------------------------
 
@@ -134,6 +156,7 @@ class ForceTorqueNode(AcquisitionNode):
             mean, bias = averaged
             number = self._tares = self._tares + 1
         self._bias, self._number = bias, number
+        self._recent.clear()  # a mean is of one tare
         response.event = self._publish_tare(number, bias, mean, request.requested_by, request.reason)
         response.outcome = to_outcome(Outcome.OK, "")
         return response

@@ -15,8 +15,8 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.node import Node
 
-from calibration.background import in_executor
 from calibration.motion.base import Done, End
+from calibration.rclpy_gaps import in_executor
 from calibration_core.motion.trajectory import Trajectory
 
 ACCEPT_TIME = 2.0  # s, a driver takes to accept or reject a goal

@@ -12,8 +12,8 @@ from calibration_interfaces.msg import Outcome
 from calibration_interfaces.srv import ProveStop
 from rclpy.node import Node
 
-from calibration.background import in_executor
 from calibration.motion.base import Backend, Course, End
+from calibration.rclpy_gaps import in_executor
 from calibration_core.motion.stop_proof import ProofRules
 from calibration_core.motion.trajectory import Trajectory
 from calibration_core.timeseries import NANOSECONDS, Float1D

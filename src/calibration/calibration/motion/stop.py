@@ -28,6 +28,7 @@ from trajectory_msgs.msg import JointTrajectory
 from calibration.motion import follow_joint_trajectory, joint_trajectory_topic, simulated
 from calibration.motion.base import Backend, Course
 from calibration.motion.messages import hold
+from calibration.rclpy_gaps import hidden
 from calibration_core.errors import InputError, quoted
 from calibration_core.motion.stop_proof import RequestedStop
 
@@ -144,12 +145,12 @@ class CancelGoals:
     def __init__(self, node: Node, action: str, ended: Ended) -> None:
         """Take the action's name, and who is told of goals that are over."""
         self.text = f"every goal of {action} is cancelled"
-        self._client = node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
+        self._client = node.create_client(CancelGoal, hidden(action, "cancel_goal"))
         self._ended = ended
         self._pending: Any = None
         self._since = math.inf  # of the oldest stop that is not acknowledged
         node.create_subscription(
-            GoalStatusArray, f"{action}/_action/status", self._on_status, qos_profile_action_status_default
+            GoalStatusArray, hidden(action, "status"), self._on_status, qos_profile_action_status_default
         )
 
     def command(self, now: float) -> None:

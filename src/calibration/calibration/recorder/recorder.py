@@ -30,9 +30,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
-from calibration.background import Background, in_executor
 from calibration.conversions import stamp_ns, to_header, to_outcome
 from calibration.node import CalibrationNode, Declared, run
+from calibration.rclpy_gaps import Background, in_executor, waiting
 from calibration.recorder.definitions import definition
 from calibration.topics import (
     READING,
@@ -171,9 +171,8 @@ class RecorderNode(CalibrationNode):
     def _drain(self) -> None:
         """Take what has arrived and waits for its turn: whoever asks to close the bag sent it all before."""
         for subscription, _ in self._heard.values():
-            with subscription.handle:
-                while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
-                    subscription.callback(taken[0])
+            for payload, _ in waiting(subscription, sys.maxsize):
+                subscription.callback(payload)
 
     def _info(self, topic: Topic) -> LiveTopic:
         offered = self.get_publishers_info_by_topic(topic.relative)

@@ -20,9 +20,9 @@ from calibration_interfaces.action import RunPlan
 from calibration_interfaces.msg import Outcome, SessionEvent
 from rclpy.action import CancelResponse, GoalResponse
 
-from calibration.background import Background
 from calibration.cell.conditions_watch import fault
 from calibration.conversions import to_header, to_outcome
+from calibration.rclpy_gaps import Background, hidden
 from calibration_core.cell import Cell
 from calibration_core.errors import CalibrationError, InputError, SessionError
 from calibration_core.measurement.session import DATABASE
@@ -310,7 +310,7 @@ class ClientWatch:
 
     def __init__(self, node: Any) -> None:
         """Look for subscribers of the feedback."""
-        self._node, self._topic = node, node.resolve_topic_name(f"{NAME}/_action/feedback")
+        self._node, self._topic = node, node.resolve_topic_name(hidden(NAME, "feedback"))
         self._there, self._deadline = False, 0.0
 
     def begin(self, now: float) -> None:

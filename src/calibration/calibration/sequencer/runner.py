@@ -25,7 +25,6 @@ from calibration.motion.base import Backend, End
 from calibration.motion.prover import Prover
 from calibration.motion.stop import Stopper
 from calibration.sequencer.goal import Goal, Stage
-from calibration.status.observer import Observer
 from calibration_core.errors import SessionError, TrajectoryError
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.sequence import Sequence
@@ -117,7 +116,6 @@ class Runner:
 
     Attributes:
         sequence: The procedure.
-        observer: Who keeps what people want to know of it.
     """
 
     def __init__(
@@ -152,7 +150,6 @@ class Runner:
         """
         self._goal, self._events = goal, goal.events
         self.sequence, self._cell, self._backend, self._joints = sequence, cell, backend, joints
-        self.observer = Observer(sequence)
         self._watch, self._monitored, self._limits, self._settle_time = watch, monitored, limits, settle_time
         self._prover, self._stopper = prover, stopper
         self._motion: _Motion | None = None
@@ -242,7 +239,6 @@ class Runner:
 
     def _handle(self, event: m.Event) -> None:
         commands = self.sequence.handle(event)
-        self.observer.hear(event, commands)
         for command in sorted(commands, key=lambda one: not isinstance(one, m.StopMotion)):
             self._do(command)  # a stop does not wait for what is written on the disk
 
@@ -253,7 +249,7 @@ class Runner:
 
     def _ask(self, text: str) -> None:
         self._cell.carry_out(m.AskOperator(text))
-        self.observer.ask(text)
+        self.sequence.asked(text)
 
     # --- commands ----------------------------------------------------------------------------------------------------
 

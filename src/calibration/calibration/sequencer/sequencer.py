@@ -24,7 +24,6 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from calibration.background import called
 from calibration.cell.clients import Instruments, LoadDevice
 from calibration.cell.conditions_watch import HEARD, ConditionsWatch
 from calibration.cell.description_watch import DescriptionWatch
@@ -34,7 +33,7 @@ from calibration.cell.port import CellPort
 from calibration.cell.reading_checks import ReadingChecks
 from calibration.cell.recorder_client import Recorder, Wanted
 from calibration.cell.wrench_watch import WrenchWatch
-from calibration.conversions import joint_positions, stamp_ns, to_outcome
+from calibration.conversions import JointReader, stamp_ns, to_outcome
 from calibration.guard.guard import PULSE_DEADLINE
 from calibration.motion.arrival import Joints
 from calibration.motion.calls import callers, succeeded
@@ -42,6 +41,7 @@ from calibration.motion.catalogue import make_backend
 from calibration.motion.prover import Prover
 from calibration.motion.stop import Stopper
 from calibration.node import CalibrationNode, run
+from calibration.rclpy_gaps import Waiting, called
 from calibration.sequencer.feedback import Feedback
 from calibration.sequencer.goal import ClientWatch, Goal, Request, RunAction, Stage
 from calibration.sequencer.operator_services import OperatorServices
@@ -57,7 +57,6 @@ from calibration.topics import (
     READING,
     Quality,
     profile,
-    subscribe_to_samples,
 )
 from calibration_core.cell import load_cell
 from calibration_core.measurement import messages as m
@@ -166,7 +165,8 @@ class SequencerNode(CalibrationNode):
     def _listen(self) -> None:
         newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
         joint_states = self.cell.topics.joint_states.lstrip("/")
-        subscribe_to_samples(self, JointState, joint_states, self._on_joints, newest, every=0.01)
+        self._joint_states = Waiting(self, JointState, joint_states, newest, raw=True)
+        self._reader = JointReader(self.cell.robot.joints)
         pulse = PERMISSION.qos
         pulse.deadline = Duration(nanoseconds=round(PULSE_DEADLINE * NANOSECONDS))
         silence = SubscriptionEventCallbacks(deadline=lambda _: self._on_silence())
@@ -176,18 +176,20 @@ class SequencerNode(CalibrationNode):
         quality = QoSProfile(depth=100)  # what was said before belongs to no run of ours
         self.create_subscription(SessionEvent, EVENT.relative, self._on_event, quality)
         self._equipment.listen(self)
-        if self._wrench is not None:
-            self._wrench.listen()
 
     def _course(self) -> tuple[Float1D, Float1D, float] | None:
         return self._joints.course(self.now_ns())
 
     # --- what arrives ------------------------------------------------------------------------------------------------
 
-    def _on_joints(self, message: JointState) -> None:
-        q = joint_positions(message, self.cell.robot.joints)
-        if q is not None:
-            self._joints.add(stamp_ns(message.header.stamp) or self.now_ns(), q)
+    def _take_streams(self) -> None:
+        for payload in self._joint_states.take():
+            sample = self._reader.read(payload)
+            if sample is not None:
+                self._joints.add(sample[0] or self.now_ns(), sample[1])
+        self.conditions.take()
+        if self._wrench is not None:
+            self._wrench.take()
 
     def _on_permission(self, message: Permission) -> None:
         self.watch.hear(message, time.monotonic())
@@ -239,6 +241,7 @@ class SequencerNode(CalibrationNode):
             runner.post(Call(lambda: port.keep(lambda: port.session.note(event))))
 
     def _on_timer(self) -> None:
+        self._take_streams()
         self._on_silence()  # its event may come but once, and the runner may be waiting for a disk
         runner = self.runner
         moving = runner is not None and runner.moving
@@ -344,6 +347,7 @@ class SequencerNode(CalibrationNode):
             completed=frozenset(session.completed),
             given_up=given_up,
             visits=session.reference_visits,
+            by_device=self._load_device is not None,
             loaded=self._load_device is not None or memory.left != "",
         )
         self.port = port = CellPort(

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections.abc import Callable
 from typing import Any
 
 from calibration.web.access import Session
 
 BEAT = 0.2  # s between two messages that tell nothing new: a page that hears nothing for a second says so
+
+
+def in_loop(loop: asyncio.AbstractEventLoop, work: Callable[[], object]) -> None:
+    """Do something short in the thread of a loop; nothing where the loop has ended, also while this is called."""
+    try:
+        loop.call_soon_threadsafe(work)
+    except RuntimeError:
+        if not loop.is_closed():
+            raise
 
 
 class Page:

@@ -27,8 +27,9 @@ from rclpy.action import ActionClient
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
-from calibration.background import in_executor, in_loop
-from calibration.topics import EVENT, Polled
+from calibration.rclpy_gaps import Waiting, hidden, in_executor
+from calibration.topics import EVENT
+from calibration.web.hub import in_loop
 
 ANSWER = 5.0  # s of wall time, that a service may take
 ACCEPT = 10.0  # s of wall time, that an action may take to accept a goal
@@ -63,22 +64,18 @@ class Answer:
     message: Any = None
 
 
-class Latest:
+class Latest(Waiting):
     """A topic of which the last message alone counts, taken when it is looked at."""
 
     def __init__(self, node: Any, kind: Any, name: str, quality: QoSProfile | None = None) -> None:
         quality = quality or QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         quality.depth = 1
-        self._subscription = node.create_subscription(
-            kind, name, lambda _message: None, quality, callback_group=Polled()
-        )
+        super().__init__(node, kind, name, quality)
 
-    def take(self) -> Any:
+    def last(self) -> Any:
         """Return the last message that has come since the last look; None: none has."""
-        one = self._subscription
-        with one.handle:
-            taken = one.handle.take_message(one.msg_type, one.raw)
-        return None if taken is None else taken[0]
+        found = self.take()
+        return found[-1] if found else None
 
 
 class CellLink:
@@ -130,7 +127,7 @@ class CellLink:
         client = await self._client(RunPlan, "sequencer/run")
         if client is None:
             return Answer(done=False, text="sequencer/run is not there")
-        self._event.take()  # what was said before the goal
+        self._event.last()  # what was said before the goal
         handle = await self._goal(client, RunPlan.Goal(**fields))
         if handle is None:
             await self._spun(client.destroy)
@@ -142,7 +139,7 @@ class CellLink:
         """Return why a run was rejected: a rejected goal carries no words, an event of the sequencer does."""
         end = time.monotonic() + REASON
         while time.monotonic() < end:
-            event = self._event.take()
+            event = self._event.last()
             if event is not None and event.kind == SessionEvent.REJECTED:
                 return str(event.text)
             await asyncio.sleep(LOOK)
@@ -199,7 +196,7 @@ class CellLink:
     async def _client(self, kind: Any, name: str) -> Any:
         """Return a client whose server is there; None: there is none."""
         client = await self._spun(lambda: ActionClient(self._node, kind, name))
-        service = self._node.resolve_service_name(f"{name}/_action/send_goal")
+        service = self._node.resolve_service_name(hidden(name, "send_goal"))
         began = time.monotonic()
         while not client.server_is_ready():
             if time.monotonic() - began > (FOUND if self._node.count_services(service) else ABSENT):

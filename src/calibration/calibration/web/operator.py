@@ -13,10 +13,9 @@ from typing import Any
 from calibration_interfaces.msg import ConditionOverride, RobotState
 from calibration_interfaces.srv import SelfTest
 
-from calibration.background import in_loop
 from calibration.web.access import Control, Session
 from calibration.web.folder import BAG, Folder
-from calibration.web.hub import Hub
+from calibration.web.hub import Hub, in_loop
 from calibration.web.link import Answer, CellLink
 from calibration_core.errors import InputError
 

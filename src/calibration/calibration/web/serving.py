@@ -17,7 +17,7 @@ from typing import Any
 
 from aiohttp import web
 
-from calibration.background import in_loop
+from calibration.web.hub import in_loop
 
 NEXT = 20  # ports that are tried
 ENDING = 3.0  # s of wall time, that open connections have to end

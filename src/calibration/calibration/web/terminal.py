@@ -22,10 +22,10 @@ from rclpy.utilities import remove_ros_args
 from textual.app import App, ComposeResult
 from textual.widgets import Footer, Static
 
-from calibration.background import in_executor
 from calibration.conversions import to_header
 from calibration.health import FRESH
 from calibration.node import spin
+from calibration.rclpy_gaps import in_executor
 from calibration.topics import EVENT, STATE
 from calibration.web.link import CellLink, Latest
 
@@ -94,7 +94,7 @@ class Terminal(App[None]):
     def _look_again(self) -> None:
         if not self.is_running:  # it ends: what is shown is taken down step by step, and this may fall between two
             return
-        message = self.cell_state.take()
+        message = self.cell_state.last()
         if message is not None:
             self.cell_shown, self.cell_heard = message, time.monotonic()
         state = None if time.monotonic() - self.cell_heard > FRESH else self.cell_shown

@@ -17,6 +17,7 @@ import numpy as np
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.consent import why_not
 from calibration_core.measurement.messages import Kind, Outcome, RunState
+from calibration_core.measurement.snapshot import UNLOADED, LastReading, ReadingVerdict, Snapshot
 from calibration_core.planning.plans.measurement_queue import Item, MeasurementQueue, SequenceRules
 from calibration_core.planning.plans.plan import Plan
 from calibration_core.timeseries import Float1D, Phase
@@ -34,6 +35,7 @@ class Sequence:
         completed: Configurations measured in an earlier run of the same session.
         given_up: Configurations given up then.
         visits: Visits to the reference then.
+        by_device: A load device changes the load, not the operator.
         loaded: A load may be on, for nobody has seen it released: it is released before anything moves, the proof of
             the stop included.
     """
@@ -46,6 +48,7 @@ class Sequence:
         completed: frozenset[int] = frozenset(),
         given_up: frozenset[int] = frozenset(),
         visits: int = 0,
+        by_device: bool = False,
         loaded: bool = False,
     ) -> None:
         self._rules = rules or SequenceRules()
@@ -65,6 +68,8 @@ class Sequence:
         self._request, self._deadline, self._now = 0, math.inf, math.nan
         self._phase: tuple[int, int, Phase] | None = None
         self._out: list[m.Command] = []
+        self._by_device, self._question = by_device, ""
+        self._reading, self._kept = LastReading(), 0
 
     @property
     def state(self) -> RunState:
@@ -97,14 +102,49 @@ class Sequence:
         """Estimate of the time left, s, without pauses; 0 once it has ended, NaN where nothing is known yet."""
         return 0.0 if self._state is RunState.FINISHED else self.queue.seconds_left
 
+    def asked(self, text: str) -> None:
+        """Take note of what the operator is asked by whoever carries the commands out."""
+        self._question = text
+
+    def snapshot(self) -> Snapshot:
+        """Return how it stands now."""
+        state, item = self._state, self._item
+        configuration, step, phase = self._phase or (0, 0, Phase.MOVING)
+        return Snapshot(
+            state=state,
+            paused=self.paused,
+            held=self._held,
+            item="" if item is None else item.kind,
+            phase_name=item.phase if item is not None and self.queue.plan.preparation else "",
+            configuration=configuration,
+            step=step,
+            phase=phase,
+            attempt=self._attempt,
+            steps=1 if item is None else max(len(item.steps), 1),
+            target=UNLOADED if state is RunState.MOVING else tuple(self._wanted.tolist()),
+            unknown=not self._at_item,
+            goal=tuple(item.q.tolist()) if item is not None and state is RunState.MOVING else (),
+            reading=self._reading,
+            readings=self._kept,
+            question=self._question,
+            by_device=self._by_device,
+            done=len(self.queue.completed),
+            given_up=len(self.queue.given_up),
+            total=self.queue.target,
+        )
+
     # --- events -------------------------------------------------------------------------------------------------------
 
     def handle(self, event: m.Event) -> tuple[m.Command, ...]:
         """Take one event; return what is to be done, in order."""
         self._out, self._now = [], event.now
+        before = self._state, self.paused
         self.queue.pass_time(event.now, working=self._state in m.WORKING and not self.paused)
         if self._state is not RunState.FINISHED:
             self._dispatch(event)
+        asked = [one.text for one in self._out if isinstance(one, m.AskOperator)]
+        if asked or before != (self._state, self.paused):
+            self._question = asked[-1] if asked else ""
         return tuple(self._out)
 
     def _dispatch(self, event: m.Event) -> None:
@@ -322,12 +362,15 @@ class Sequence:
 
     def _confirmed(self) -> None:
         self._readings.clear()
+        self._note_reading(ReadingVerdict.KEPT)
+        self._kept += 1
         self._tries, self._step = 0, self._step + 1
         self._advance()
 
     def _failed(self, reason: str, *, moved: bool = False) -> None:
         """Try the reading again, or give the attempt up."""
         self._tries += 1
+        self._note_reading(ReadingVerdict.REPEATED, reason)
         self._say(Kind.READING_REJECTED, reason)
         self._granted += moved  # whoever did that is not the configuration's failure
         if moved or self._tries >= self._rules.readings:
@@ -358,6 +401,7 @@ class Sequence:
     def _retry_or_skip(self, reason: str) -> None:
         item = self._present
         self._given_up_for = ""
+        self._note_reading(ReadingVerdict.GIVEN_UP, reason)
         self._end_attempt(completed=False, reason=reason)
         self._attempt, self._step, self._tries = self._attempt + 1, 0, 0
         if self._attempt < self._rules.attempts + self._granted:
@@ -416,6 +460,9 @@ class Sequence:
         if (place := (self._present.number, self._number, phase)) != self._phase:
             self._phase = place
             self._out.append(m.Mark(*place))
+
+    def _note_reading(self, verdict: ReadingVerdict, reason: str = "") -> None:
+        self._reading = LastReading(verdict, self._present.number, self._number, reason)
 
     def _say(self, kind: Kind, text: str) -> None:
         number, step = (0, 0) if self._item is None else (self._item.number, self._number)
