@@ -103,6 +103,18 @@ class ComparedRows:
             moved[:, :, k] = change / size
         return moved
 
+    def arrows(self, left: Float2D, tracker: Float2D) -> dict[tuple[int, str], Float1D]:
+        """Return what is left, (m, 3) m of the tracker's axes, as arrows of a step; `tracker` is its pose."""
+        kept, ways = self._readings.select(self._rows), left @ tracker[:3, :3].T
+        load = np.zeros(len(kept)) if kept.wrench is None else np.linalg.norm(kept.wrench[:, :3], axis=1)
+        shown: dict[tuple[int, str], Float1D] = {}
+        for group in range(len(self._size)):
+            rows = np.flatnonzero(self._group == group)
+            most, least = rows[np.argmax(load[rows])], rows[np.argmin(load[rows])]
+            way = ways[most] if self.still[most] else ways[most] - ways[least]
+            shown[int(kept.configuration[most]), kept.points[kept.point[most]]] = way
+        return shown
+
     def rms(self, left: Float2D) -> float:
         """Return the root mean square per coordinate of what is compared, m."""
         return float(np.sqrt(np.sum(left**2) / max(self._shown, 1)))
@@ -236,7 +248,8 @@ def _with_steps(
     # Where the model says what the simulation says, it stands for it on the test recording.
     alike = same.reproduced or same.compliance is not None
     at_first = tested.rms(believed) if tested is not None and alike else unknown
-    steps = [WaterfallStep("simulation", "as it is", whole, unknown, at_first, 0.0)]
+    ways = ours.arrows(left, believed.tracker)
+    steps = [WaterfallStep("simulation", "as it is", whole, unknown, at_first, 0.0, arrows=ways)]
     parts: tuple[ModelPart, ...] = ()
     rigid = whole
     heard = {one.text: _heard(one, found, recorded, cell, believed) for one in compared.witnesses}
@@ -266,6 +279,7 @@ def _with_steps(
                 (before**2 - after**2) / whole**2 if whole else 0.0,
                 changed,
                 first,
+                ours.arrows(left, believed.tracker),
             )
         )
         before = after

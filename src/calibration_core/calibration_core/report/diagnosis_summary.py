@@ -69,12 +69,13 @@ def compared_summary(diagnosis: Diagnosis, compared: Comparison, light: Sequence
     """Return the answer of one recording beside its simulation: what differs, how it becomes the noise, what to use."""
     lines = [*light, f"verdict: {diagnosis.verdict}: {headline(diagnosis)}"]
     lines += [one.sentence for one in compared.differences]
-    lines += [f"anomaly: {anomaly.kind}: {anomaly.text}" for anomaly in diagnosis.anomalies]
-    lines += [one.text for one in compared.witnesses if one.left is not None]
-    lines += [compared.pattern] if compared.pattern else []
     lines += waterfall_lines(compared.waterfall) or list(compared.sentences[-2:])
     if compared.improved is not None:
         lines += improved_lines(compared.improved)
+    lines += [one.text for one in compared.witnesses if one.left is not None]
+    lines += [compared.pattern] if compared.pattern else []
+    said = " ".join(light)
+    lines += [f"anomaly: {one.kind}: {one.text}" for one in diagnosis.anomalies if one.text.rstrip(".") not in said]
     lines += [diagnosis.rest.text] if diagnosis.rest.significant else []
     return lines + [note.line for note in diagnosis.remarks]
 

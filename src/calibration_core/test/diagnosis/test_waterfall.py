@@ -20,6 +20,7 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.report.diagnosis_summary import waterfall_lines
 from calibration_core.report.results.diagnosis import comparison_dict
 from calibration_core.report.results.result import plain
+from calibration_core.report.view3d.space import space_view
 from calibration_core.timeseries import Readings
 
 BENT = [5e-7, 3e-7, 0.0]  # rad/(N*m), joint 3 about other axes than its own
@@ -67,6 +68,25 @@ def test_the_steps_lead_from_the_simulation_to_the_noise(found: Diagnosis) -> No
     bent = steps["off_axis_compliance"]
     assert bent.share_first > bent.share  # the springs of the joints took a part of it
     assert np.isnan(steps["stiffness"].share_first)
+
+
+def test_the_view_shows_what_each_step_leaves(found: Diagnosis, recorded: Readings, cell: Cell) -> None:
+    (compared,) = found.comparisons
+    view = space_view(found.identification.space, cell, compared.waterfall)
+    kinds = [kind for kind in view.kinds if kind.name not in {"force", "deflection"}]
+    steps = list(steps_of(found))[:-1]
+    assert [kind.name for kind in kinds] == ["difference", *(f"after {k}, {steps[k]}" for k in range(1, len(steps)))]
+    assert [kind.shown for kind in kinds] == [True, False, False, False, True]
+    length = {kind.name: [np.linalg.norm(a.vector) for a in view.arrows if a.kind == kind.name] for kind in kinds}
+    assert {len(own) for own in length.values()} == {18 * len(recorded.points)}
+    assert np.mean(length["difference"]) > 5 * np.mean(length[kinds[-1].name])
+    difference = recorded.position - simulated(recorded, cell).position
+    own = (recorded.configuration == 1) & (recorded.point == 0)
+    load = np.linalg.norm(recorded.wrench[own, :3], axis=1)  # type: ignore[index]
+    way = difference[own][load.argmax()] - difference[own][load.argmin()]
+    way = nominal_parameters(cell).tracker[:3, :3] @ way
+    drawn = next(one.vector for one in view.arrows if one.kind == "difference" and one.posture == 0)
+    assert drawn @ way == pytest.approx(np.linalg.norm(drawn) * np.linalg.norm(way))
 
 
 def test_each_number_is_said_before_and_after(found: Diagnosis, cell: Cell) -> None:

@@ -161,7 +161,7 @@ def test_the_view_holds_every_configuration_and_point(loaded: Identification, ce
     np.testing.assert_array_equal([q for _, q in view.postures], loaded.space.q)
     assert list(view.places) == ["mp1", "mp2", "mp3"]
     np.testing.assert_array_equal(view.places["mp1"], loaded.space.points["mp1"])
-    assert view.notes["deflection"] == f"× {factor:g}"
+    assert [(kind.name, kind.note) for kind in view.kinds][1:] == [("deflection", f"× {factor:g}")]
     assert loaded.space.deflection is not None
     drawn = {arrow.posture: arrow.vector for arrow in view.arrows if arrow.kind == "deflection"}
     np.testing.assert_allclose([drawn[i] for i in range(18)], loaded.space.deflection * factor)

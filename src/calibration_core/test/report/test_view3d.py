@@ -25,6 +25,7 @@ from calibration_core.report.view3d import Arrow, View, cell_view, page, script,
 from calibration_core.report.view3d.picture import png
 from calibration_core.report.view3d.solids import Solid, mesh_of, simplified
 from calibration_core.report.view3d.space import space_view
+from calibration_core.report.view3d.view import FORCE, ArrowKind
 
 ROOT = Path(__file__).resolve().parents[4]
 CELLS, BAG = ROOT / "config" / "cells", ROOT / "bags" / "small_loaded"
@@ -50,7 +51,9 @@ def rail(tmp_path: Path) -> View:
     postures = [("1", np.array([0.5, 0.2, -0.4])), ("2", np.array([2.0, -1.0, 1.3]))]
     view = cell_view(load_cell(tmp_path / "rail.yaml"), postures)
     arrows = (Arrow("force", 0, np.zeros(3), np.array([0.0, 0.0, -0.2])),)
-    return dataclasses.replace(view, arrows=arrows, notes={"force": "largest 50 N"})
+    kinds = (dataclasses.replace(FORCE, note="largest 50 N"), ArrowKind("left over", (1.0, 0.0, 0.0), shown=False))
+    more = (Arrow("left over", 0, np.zeros(3), np.array([0.1, 0.0, 0.0])),)
+    return dataclasses.replace(view, arrows=(*arrows, *more), kinds=kinds)
 
 
 def test_the_program_is_small() -> None:
@@ -105,7 +108,7 @@ def test_a_browser_places_the_robot_as_the_model_does(
     assert 'role="img"' in body
     assert "arrow keys" in body
     assert "&lt;b&gt;" in body  # a target's name stays a name
-    for layer in ("robot", "tracker", "boxes", "force (largest 50 N)", "reset the view"):
+    for layer in ("robot", "tracker", "boxes", "force (largest 50 N)", "left over", "reset the view"):
         assert layer in body
 
 
@@ -135,7 +138,7 @@ def test_a_browser_draws_every_layer(rail: View, tmp_path: Path) -> None:
     changed, again = json.loads(title)
     assert again
     changed.pop("names")  # words, which are no part of the canvas
-    expected = {"robot", "targets", "frames", "tracker", "boxes", "force (largest 50 N)"}
+    expected = {"robot", "targets", "frames", "tracker", "boxes", "force (largest 50 N)", "left over"}
     assert changed == dict.fromkeys(expected, True)
 
 

@@ -111,13 +111,15 @@ class Diagnosed:
         from calibration_core.report.view3d.space import space_view
         from calibration_core.report.writing.rendering import rendered
 
-        document = diagnosis_document(found, cell, result, light_of(self.content))
+        waterfall = next((one.waterfall for one in found.comparisons), ())
+        view = space_view(found.identification.space, cell, waterfall) if waterfall else None
+        document = diagnosis_document(found, cell, result, light_of(self.content), view)
         if self.population is not None:
             lines = Items(tuple(prior_lines(self.sisters, self.population)[1:]))
             source = Paragraph(f"{self.population.source}; {self.population.file}, SHA-256 {self.population.sha256}")
             section = Section(f"With the population of type {self.population.type}", "", (source, lines))
             document = dataclasses.replace(document, sections=(*document.sections, cleaned(section)))
-        return {**files, **rendered(document, space_view(found.identification.space, self.cell))}
+        return {**files, **rendered(document, view)}
 
 
 def run(arguments: argparse.Namespace) -> str:

@@ -202,6 +202,8 @@ class WaterfallStep:
         changed: Its numbers.
         share_first: Of a finding, that it takes away where it comes before the stiffness and the other findings: what
             it has beyond `share`, others can take as well.  NaN for other steps.
+        arrows: Configuration and point -> (3,) m, base axes: what is left at the largest load, less that at the least;
+            of a position by itself.
     """
 
     name: str
@@ -212,6 +214,7 @@ class WaterfallStep:
     share: float
     changed: tuple[ChangedNumber, ...] = ()
     share_first: float = float("nan")
+    arrows: Mapping[tuple[int, str], Float1D] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

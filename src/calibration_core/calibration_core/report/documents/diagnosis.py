@@ -37,6 +37,7 @@ from calibration_core.report.sections.diagnosis import (
 from calibration_core.report.sections.procedure import counts_text, load_text, safety_limit
 from calibration_core.report.sections.records import exclusion_section, given_model, traceability_section
 from calibration_core.report.sections.together import together_blocks
+from calibration_core.report.view3d.view import View
 from calibration_core.report.writing.rendering import document_number
 
 STATEMENT = (
@@ -48,7 +49,12 @@ STATEMENT = (
 
 
 def diagnosis_document(
-    found: Diagnosis, cell: Cell, result: bytes, light: Light, day: dt.date | None = None
+    found: Diagnosis,
+    cell: Cell,
+    result: bytes,
+    light: Light,
+    view: View | None = None,
+    day: dt.date | None = None,
 ) -> Document:
     """Build the report of a diagnosis.
 
@@ -57,6 +63,7 @@ def diagnosis_document(
         cell: The cell.
         result: The bytes of result.json, for the report's number.
         light: The traffic light of the result.
+        view: What the steps from a simulation to the noise leave, in space; None without such steps.
         day: Date of evaluation; today (UTC) if not given.
     """
     day = day or dt.datetime.now(dt.UTC).date()
@@ -67,7 +74,7 @@ def diagnosis_document(
         sections.append(Section("Recordings evaluated together", "", together_blocks(null.together, null.stiffness)))
     for compared in found.comparisons:
         title = "Recording and simulation" if null.together is None else f"{compared.recording} and its simulation"
-        sections.append(Section(title, "", comparison_blocks(compared)))
+        sections.append(Section(title, "", comparison_blocks(compared, view)))
     sections.append(Section("Where recording and model differ", "", where_blocks(found)))
     sections += [
         Section(f"Finding {number}: {_title(finding)}", "", finding_blocks(finding))

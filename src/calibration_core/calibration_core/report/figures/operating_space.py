@@ -90,7 +90,12 @@ def force_scale(space: OperatingSpace) -> float:
 
 def deflection_scale(space: OperatingSpace) -> float:
     """Return a round factor that makes the largest deflection about a sixth of the reach; 0 without deflections."""
-    scale = _scale(space.deflection, reach(space) / 6)
+    return round_scale(space.deflection, space)
+
+
+def round_scale(vectors: Float2D | None, space: OperatingSpace) -> float:
+    """Return a round factor that makes the largest of (k, 3) m about a sixth of the reach; 0 without any."""
+    scale = _scale(vectors, reach(space) / 6)
     if scale <= 0:
         return 0.0
     decade = 10.0 ** math.floor(math.log10(scale))

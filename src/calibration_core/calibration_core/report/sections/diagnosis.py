@@ -30,6 +30,8 @@ from calibration_core.report.results.diagnosis import extended_joints
 from calibration_core.report.rounding import DASH, counted, fixed, padded, significant
 from calibration_core.report.sections.procedure import joint_columns, joint_values
 from calibration_core.report.sections.stiffness import extended_table
+from calibration_core.report.view3d.picture import svg
+from calibration_core.report.view3d.view import View
 
 MOST_ROWS = 12
 MOST_OTHERS = 5
@@ -45,8 +47,8 @@ CONCERNED = {
 }
 
 
-def comparison_blocks(compared: Comparison) -> tuple[Block, ...]:
-    """Return what recording and simulation have in common and what not."""
+def comparison_blocks(compared: Comparison, view: View | None = None) -> tuple[Block, ...]:
+    """Return what recording and simulation have in common and what not; in space, too, where there is a view."""
     blocks: list[Block] = [Items(compared.sentences)]
     if compared.differences:
         rows = tuple(
@@ -71,6 +73,9 @@ def comparison_blocks(compared: Comparison) -> tuple[Block, ...]:
         return tuple(blocks)
     if compared.waterfall:
         blocks += _waterfall(compared)
+    if view is not None:
+        words = "Recording minus simulation at the largest load, as it is (red) and after the last step (green)."
+        blocks.append(Figure("space", words, f"{view.name}, with the difference as arrows", svg(view), turnable=True))
     caption = (
         "Recording minus simulation, in every configuration and step."
         if steps.grid is not None and steps.grid.shape[1] > 1

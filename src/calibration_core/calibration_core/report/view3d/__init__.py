@@ -18,8 +18,8 @@ lengths are m, all angles rad, all poses the twelve numbers of a (3, 4) matrix r
 - `tracker`: its place in the base frame, or null; beams go from there to the targets.
 - `boxes`: `name`, `size`, `pose` in the base frame.
 - `places`: name -> places in the base frame, shown at every posture.
-- `arrows`: `kind` (`force`, `deflection`), `posture` (index), `start`, `vector` (as drawn), base frame.
-- `notes`: kind of arrow -> what its length means.
+- `arrows`: `kind`, `posture` (index), `start`, `vector` (as drawn), base frame.
+- `kinds`: of arrows: `name`, `colour` (red, green, blue; 0 to 1), `note` (what the length means), `shown` at first.
 
 In a page, `calibrationScene(element, scene, {words, shown, fixed})` draws into an element and returns null where the
 browser has no WebGL, otherwise an object with `select(index)`, `posture(q)`, `arrows([...])`, `targets({...})`,

@@ -13,7 +13,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from calibration_core.model.kinematics import Posture, posture
-from calibration_core.report.figures.style import ACCENT, GREY, INK, PALE, STYLE, drawable, drawing
+from calibration_core.report.figures.style import GREY, INK, PALE, STYLE, drawable, drawing
 from calibration_core.report.view3d.solids import Solid, mesh_of
 from calibration_core.report.view3d.view import View
 from calibration_core.timeseries import Float1D, Float2D
@@ -68,11 +68,12 @@ def draw(axes: Axes, view: View, index: int = 0) -> None:
         _line(axes, [flange, there], INK, 0.8, 5)
         axes.plot(*_flat(there[None]).T, "o", color=INK, markersize=3.5, zorder=6)
         names.append((there, name))
-    for kind, colour in (("force", "#404040"), ("deflection", ACCENT)):
-        for arrow in view.arrows:
-            if arrow.kind == kind and arrow.posture == index:
+    for kind in view.kinds:
+        for arrow in view.arrows if kind.shown else ():
+            if arrow.kind == kind.name and arrow.posture == index:
                 start, vector = _flat(arrow.start[None])[0], _flat(arrow.vector[None])[0]
-                axes.annotate("", start + vector, start, arrowprops={"arrowstyle": "-|>", "color": colour}, zorder=8)
+                style = {"arrowstyle": "-|>", "color": kind.colour}
+                axes.annotate("", start + vector, start, arrowprops=style, zorder=8)
     for frame in view.frames:
         pose = frame.pose if frame.on == "base" else _pose_of(at) @ frame.pose
         if float(np.linalg.norm(pose[:3, 3] - middle)) < FAR * size:

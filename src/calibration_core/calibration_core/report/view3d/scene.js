@@ -5,14 +5,14 @@
   "use strict";
 
   var TEXTS = {
-    robot: "robot", targets: "targets", frames: "frames", tracker: "tracker", boxes: "boxes", force: "force",
-    deflection: "deflection", names: "names", posture: "configuration", reset: "reset the view",
-    hint: "Drag or use the arrow keys to turn; wheel, two fingers, plus and minus to zoom.", away: "m away",
+    robot: "robot", targets: "targets", frames: "frames", tracker: "tracker", boxes: "boxes", names: "names",
+    posture: "configuration", reset: "reset the view", away: "m away",
+    hint: "Drag or use the arrow keys to turn; wheel, two fingers, plus and minus to zoom.",
   };
   var COLOURS = {
     robot: [0.70, 0.73, 0.77], joint: [0.45, 0.50, 0.56], tool: [0.25, 0.27, 0.30], target: [0.07, 0.07, 0.07],
-    tracker: [0.62, 0.36, 0.00], boxes: [0.55, 0.55, 0.55], force: [0.25, 0.25, 0.25], deflection: [0.10, 0.36, 0.66],
-    floor: [0.86, 0.86, 0.86], place: [0.07, 0.07, 0.07],
+    tracker: [0.62, 0.36, 0.00], boxes: [0.55, 0.55, 0.55], floor: [0.86, 0.86, 0.86],
+    place: [0.07, 0.07, 0.07],
   };
   var AXES = [[0.78, 0.12, 0.12], [0.10, 0.52, 0.15], [0.12, 0.25, 0.78]];
   var VERTEX = "attribute vec3 at; attribute vec3 normal; uniform mat4 eye; uniform mat4 model; uniform mat3 turn;" +
@@ -263,9 +263,9 @@
     }
 
     function lined() {
-      [].concat(lines.places || [], lines.arrows ? [lines.arrows.force, lines.arrows.deflection] : [], lines.floor).forEach(forget);
+      [].concat(lines.places || [], lines.arrows || [], lines.floor).forEach(forget);
       lines.places = Object.keys(scene.places).map(function (name) { return strip(scene.places[name]); });
-      lines.arrows = { force: strip(shafts("force")), deflection: strip(shafts("deflection")) };
+      lines.arrows = scene.kinds.map(function (kind) { return strip(shafts(kind.name)); });
       lines.floor = strip(grid());
     }
 
@@ -340,11 +340,11 @@
 
     // The robot under its load, of glass: where the deflections are shown, as large as they are.
     function bent() {
-      var under = scene.postures[index].bent, links;
+      var under = scene.postures[index].bent, kind = scene.kinds.find(function (one) { return one.name === "deflection"; }), links;
       if (!under || !shown.deflection || !shown.robot || q !== scene.postures[index].q) { return; }
       links = kinematics(scene, under).links;
       gl.enable(gl.BLEND);
-      scene.solids.forEach(function (one) { solid(one, links, COLOURS.deflection, { alpha: 0.4 }); });
+      scene.solids.forEach(function (one) { solid(one, links, kind.colour, { alpha: 0.4 }); });
       gl.disable(gl.BLEND);
     }
 
@@ -393,11 +393,11 @@
         });
       }
       if (scene.tracker && shown.tracker) { sight(labels, unit); }
-      ["force", "deflection"].forEach(function (kind) {
-        if (!shown[kind]) { return; }
-        paint(lines.arrows[kind], unit, COLOURS[kind], { mode: gl.LINES });
+      scene.kinds.forEach(function (kind, i) {
+        if (!shown[kind.name]) { return; }
+        paint(lines.arrows[i], unit, kind.colour, { mode: gl.LINES });
         scene.arrows.forEach(function (a) {
-          if (a.kind === kind && a.posture === index) { arrow(a.start, a.vector, (a.width || 0.006) * size, a.colour || COLOURS[kind]); }
+          if (a.kind === kind.name && a.posture === index) { arrow(a.start, a.vector, (a.width || 0.006) * size, a.colour || kind.colour); }
         });
       });
       bent();
@@ -457,20 +457,23 @@
     // --- what can be chosen
 
     function controls() {
-      var present = { robot: true, targets: true, frames: scene.frames.length, tracker: scene.tracker, boxes: scene.boxes.length,
-        force: scene.arrows.some(function (a) { return a.kind === "force"; }),
-        deflection: scene.arrows.some(function (a) { return a.kind === "deflection"; }), names: true };
+      var present = { robot: true, targets: true, frames: scene.frames.length, tracker: scene.tracker, boxes: scene.boxes.length, names: true }, kinds = {};
+      scene.kinds.forEach(function (kind) {
+        kinds[kind.name] = kind;
+        present[kind.name] = scene.arrows.some(function (a) { return a.kind === kind.name; });
+      });
       bar.textContent = "";
       if (scene.postures.length > 1) { chooser(); }
       Object.keys(present).forEach(function (key) {
         if (!present[key]) { return; }
-        if (shown[key] === undefined) { shown[key] = true; }
+        if (shown[key] === undefined) { shown[key] = !kinds[key] || kinds[key].shown; }
         if (fixed) { return; }
         var label = element("label", "white-space:nowrap;cursor:pointer", bar), tick = element("input", "margin:0 .3em 0 0;vertical-align:middle", label);
         tick.type = "checkbox";
         tick.checked = shown[key];
         tick.onchange = function () { shown[key] = tick.checked; draw(); };
-        label.appendChild(root.document.createTextNode(words[key] + (scene.notes[key] ? " (" + scene.notes[key] + ")" : "")));
+        label.appendChild(root.document.createTextNode((words[key] || key) + (kinds[key] && kinds[key].note ? " (" + kinds[key].note + ")" : "")));
+        if (kinds[key]) { label.style.borderBottom = "2px solid rgb(" + kinds[key].colour.map(function (c) { return Math.round(255 * c); }).join(",") + ")"; }
       });
       var button = element("button", "font:inherit;cursor:pointer", bar);
       button.type = "button";

@@ -16,7 +16,7 @@ from calibration_core.report.document import printable
 from calibration_core.report.view3d.solids import Solid, robot_solids
 from calibration_core.timeseries import Float1D, Float2D
 
-SCHEMA = 1
+SCHEMA = 2
 NAME = 40  # characters of a name that are shown
 
 
@@ -40,16 +40,37 @@ class Arrow:
     """An arrow in the base frame.
 
     Attributes:
-        kind: What it shows.
+        kind: Name of what it shows, one of the view's kinds.
         posture: Index of the posture that it belongs to.
         start: (3,) m.
         vector: (3,) m, as drawn.
     """
 
-    kind: Literal["force", "deflection"]
+    kind: str
     posture: int
     start: Float1D
     vector: Float1D
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ArrowKind:
+    """What arrows of one kind show.
+
+    Attributes:
+        name: As it is shown, where no other language has a word for it.
+        colour: Red, green and blue, 0 to 1.
+        note: What their length means; empty where that needs no word.
+        shown: Whether they are drawn before somebody asks for them.
+    """
+
+    name: str
+    colour: tuple[float, float, float]
+    note: str = ""
+    shown: bool = True
+
+
+FORCE = ArrowKind("force", (0.25, 0.25, 0.25))
+DEFLECTION = ArrowKind("deflection", (0.12, 0.31, 0.47))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -68,7 +89,7 @@ class View:
         boxes: Name, (3,) edges and (4, 4) pose of each box.
         places: Name -> (k, 3) m, shown at every posture.
         arrows: Arrows.
-        notes: Kind of arrow -> what its length means.
+        kinds: What they show, in the order in which they can be chosen.
         bent: (n,) joint positions of each posture under its load, deflections enlarged as the arrows are; empty where
             no load is known.
     """
@@ -84,7 +105,7 @@ class View:
     boxes: tuple[tuple[str, Float1D, Float2D], ...] = ()
     places: Mapping[str, Float2D] = dataclasses.field(default_factory=dict)
     arrows: tuple[Arrow, ...] = ()
-    notes: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    kinds: tuple[ArrowKind, ...] = (FORCE, DEFLECTION)
     bent: tuple[Float1D, ...] = ()
 
     def json(self) -> dict[str, Any]:
@@ -144,7 +165,7 @@ class View:
                 for arrow in self.arrows
                 if np.all(np.isfinite(arrow.vector))
             ],
-            "notes": dict(self.notes),
+            "kinds": [dataclasses.asdict(kind) for kind in self.kinds],
         }
 
 
