@@ -76,12 +76,16 @@ def diagnose(
         return _judged(_with_location(readings, cell, options, test, offers, given, identified), readings)
     # slow to load, and seldom needed
     from calibration_core.diagnosis.simulated import compare_checked
-    from calibration_core.diagnosis.waterfall import with_waterfall
+    from calibration_core.diagnosis.waterfall import beside_wrong_angles, with_sound_angles, with_waterfall
 
     compared = [compare_checked(readings, simulation, cell)]
     with mixed_up(compared):
         found = _with_location(readings, cell, options, test, offers, given, identified)
-    return with_waterfall(beside(_judged(found, readings), compared), readings, cell, test)
+    found = with_waterfall(beside(_judged(found, readings), compared), readings, cell, test)
+    sound = with_sound_angles(found, readings)
+    if sound is readings:
+        return found
+    return beside_wrong_angles(diagnose(sound, cell, options, test, simulation, offers, given), found)
 
 
 def _judged(found: Diagnosis, readings: Readings) -> Diagnosis:

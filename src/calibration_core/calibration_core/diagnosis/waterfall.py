@@ -39,6 +39,8 @@ from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D
 
 STIFFNESS = "stiffness"
 STIFF = {"rad/(N*m)": "N*m/rad", "m/N": "N/m"}
+ANGLES = "joint angles"
+TAKEN = "All else is found with those of the simulation."
 NAMED = 2  # numbers of a step that are named in words
 TWICE = 2  # refinements of a step's fit by its exact prediction: what is left of curvature is below 1 % of the noise
 ELSEWHERE = 1e4  # standard deviations that tracker and targets of a test may stand elsewhere
@@ -306,23 +308,22 @@ def _heard(
 ) -> Witness | None:
     """Let the positions judge what the two say differently; None where it stays open and moves the points within noise.
 
-    What was found wrong with the sensor itself stays out of the model: it would put right the one that is wrong.  Where
-    the simulation decides nothing, it decides.
+    What was found wrong with the sensor itself, and beside doubtful angles whatever was found, stays out of the model:
+    it would put right the one that is wrong.  Where the simulation decides nothing, the sensor's finding decides.
     """
     (compared,), (readings, rows), model = found.comparisons, recorded, found.handed_out[0]
     if stated.what == "wrench" and readings.wrench is not None and compared.simulated.wrench is not None:
         wrench = readings.wrench.copy()
         wrench[compared.rows] = compared.simulated.wrench
         other = dataclasses.replace(readings, wrench=wrench)
-    elif stated.what == "joint angles":
-        angles = readings.q.copy()
-        angles[compared.rows] = compared.simulated.q
-        other = dataclasses.replace(readings, q=angles)
+    elif stated.what == ANGLES:
+        other = _with_angles(readings, compared)
     else:
         return stated
-    positions = stated.what == "joint angles" and cell.measurements.points == "absolute"
+    angles = stated.what == ANGLES
+    positions = angles and cell.measurements.points == "absolute"
     at_sensor = {k for k, effect in enumerate(model.effects) if "sensor" in effect.location}
-    sound = [part for part in _parts(found, model) if at_sensor.isdisjoint(part.effects)]
+    sound = [part for part in _parts(found, model)[: 1 if angles else None] if at_sensor.isdisjoint(part.effects)]
     both = [ComparedRows(one, rows, cell, positions=positions) for one in (readings, other)]
     try:
         fits = [_StagedModel(one, found, believed).with_parts((FRAMES, GEOMETRY, *sound)) for one in both]
@@ -335,6 +336,32 @@ def _heard(
         text = f"{stated.text[:-1]}; by itself the recording shows {', '.join(own)}: that of the recording is wrong."
         return dataclasses.replace(heard, wrong="recording", text=text)
     return heard if heard.wrong != "either" or moved > found.noise_known else None
+
+
+def _with_angles(recorded: Readings, compared: Comparison) -> Readings:
+    angles = recorded.q.copy()
+    angles[compared.rows] = compared.simulated.q
+    return dataclasses.replace(recorded, q=angles)
+
+
+def with_sound_angles(found: Diagnosis, recorded: Readings) -> Readings:
+    """Return a recording with the simulation's joint angles where the positions contradict its own, else as it is."""
+    for compared in found.comparisons:
+        wrong = any(one.what == ANGLES and one.wrong == "recording" for one in compared.witnesses)
+        if wrong and len(compared.rows) == len(recorded):
+            return _with_angles(recorded, compared)
+    return recorded
+
+
+def beside_wrong_angles(found: Diagnosis, before: Diagnosis) -> Diagnosis:
+    """Add to what is found with the simulation's joint angles what was said of the recorded ones."""
+    (compared,), (doubted,) = found.comparisons, before.comparisons
+    told = (dataclasses.replace(one, text=f"{one.text} {TAKEN}") for one in doubted.witnesses if one.what == ANGLES)
+    witnesses = (*told, *compared.witnesses)
+    sentences = (*(one.text for one in witnesses if one.what == ANGLES), *compared.sentences)
+    return dataclasses.replace(
+        found, comparisons=(dataclasses.replace(compared, witnesses=witnesses, sentences=sentences),)
+    )
 
 
 def _parts(found: Diagnosis, model: ModelParameters) -> tuple[ModelPart, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison.result import FormatLoss
 from calibration_core.diagnosis.result.finding import Diagnosis
+from calibration_core.diagnosis.waterfall import with_sound_angles
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.formats.calibrated import ExportedRobot, calibrated_robot
 from calibration_core.formats.mjcf import FILE as MJCF
@@ -174,7 +175,8 @@ def improved_files(found: Diagnosis, recorded: Readings, cell: Cell, folder: Pat
     if compared is None or compared.improved is None:
         return {}
     model = found.handed_out[0]
-    again = dataclasses.replace(recorded, position=predict_readings(recorded, cell, model))
+    sound = with_sound_angles(found, recorded)
+    again = dataclasses.replace(sound, position=predict_readings(sound, cell, model))
     robot = calibrated_robot(cell, model)
     mujoco = {} if robot.chain.mimics else mjcf_files(robot).files
     return {

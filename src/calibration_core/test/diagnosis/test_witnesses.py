@@ -133,6 +133,22 @@ def test_angles_of_another_drive_are_judged(found: Diagnosis, recorded: Readings
         assert (one.what, one.wrong) == ("joint angles", wrong)
 
 
+def test_physics_is_found_with_the_angles_that_the_positions_confirm(recorded: Readings, cell: Cell) -> None:
+    """An encoder that errs from step to step looks like friction, as long as its angles are believed."""
+    assert recorded.wrench is not None
+    steps = np.unique(np.column_stack([recorded.configuration, recorded.step]), axis=0, return_inverse=True)[1]
+    angles = recorded.q.copy()
+    angles[:, 2] += 2e-4 * np.random.default_rng(2).standard_normal(steps.max() + 1)[steps.reshape(-1)]
+    doubtful = dataclasses.replace(recorded, q=angles)
+    found = diagnose(doubtful, cell, simulation=simulated(recorded, cell, recorded.wrench))
+    (compared,) = found.comparisons
+    (one,) = compared.witnesses
+    assert (one.what, one.wrong) == ("joint angles", "recording")
+    assert one.text in compared.sentences
+    assert found.findings == ()
+    assert compared.waterfall[-1].rms < 1.2 * found.noise_known
+
+
 def test_other_times_are_said_and_not_judged(found: Diagnosis, recorded: Readings, cell: Cell) -> None:
     assert recorded.wrench is not None
     true = simulated(recorded, cell, recorded.wrench)
