@@ -18,10 +18,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile
 
 from calibration.conversions import to_header
-from calibration.health import QOS, TOPIC
-from calibration.node import CalibrationNode, Declared, run
-from calibration.status.faults import MISSED
-from calibration.status.whole import Whole
+from calibration.node import QOS, TOPIC, CalibrationNode, Declared, run
+from calibration.status import MISSED, Whole
 from calibration.topics import (
     CONDITIONS_QUALITY,
     PERMISSION,

@@ -22,8 +22,7 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 
 from calibration.conversions import joint_positions, to_header
-from calibration.health import FRESH
-from calibration.node import CalibrationNode, Declared, ParameterError, run
+from calibration.node import FRESH, CalibrationNode, Declared, ParameterError, run
 from calibration.rclpy_gaps import in_executor
 from calibration.topics import EVENT, STATE
 from calibration.web.access import EVERY, Control, Session, bracketed, origins
@@ -33,9 +32,7 @@ from calibration.web.link import CellLink, Latest
 from calibration.web.operator import Operator
 from calibration.web.server import Server, Settings
 from calibration.web.serving import Door, Serving, listening, printed
-from calibration.web.shown.band import Held
-from calibration.web.shown.plain import EVENT_KINDS, plain
-from calibration.web.shown.view import checklist, forgotten, place_of, unfinished, view
+from calibration.web.view import EVENT_KINDS, Held, checklist, forgotten, place_of, plain, unfinished, view
 from calibration_core.cell import load_cell
 from calibration_core.report.view3d import cell_view
 

@@ -11,7 +11,6 @@ is taken on the tick of whoever listens.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
@@ -22,13 +21,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
-__all__ = ["IN_A_TURN", "Background", "Once", "RCLError", "Until", "Waiting", "called", "given_parameters", "hidden",
-           "in_executor", "wait_until", "waiting"]  # fmt: skip
+__all__ = ["IN_A_TURN", "Background", "Once", "RCLError", "Waiting", "given_parameters", "hidden", "in_executor",
+           "waiting"]  # fmt: skip
 
 T = TypeVar("T")
-Until = Callable[[Callable[[], bool], float], bool]
-"""Waits for a condition, at most so many s of wall time; returns whether it came true."""
-LOOK = 0.005  # s of wall time, between two looks at what is waited for
 IN_A_TURN = 100  # samples that are taken before anything else has its turn
 
 
@@ -116,37 +112,6 @@ def in_executor(node: Node, work: Callable[[], object]) -> None:
         work()
     else:
         executor.create_task(work)
-
-
-def wait_until(condition: Callable[[], bool], seconds: float) -> bool:
-    """Wait, in a thread that is not the executor's, at most so many s of wall time; return whether it came true."""
-    end = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        time.sleep(LOOK)
-    return True
-
-
-def called(client: Any, request: Any, seconds: float, until: Until = wait_until) -> Any:
-    """Call a service from a thread that is not the executor's, and forget a call that is not answered.
-
-    Args:
-        client: Of the service.
-        request: What is asked.
-        seconds: Of wall time, that its server may take to appear, and to answer then.
-        until: Waits; it may raise when nobody wants the answer any more.
-
-    Returns:
-        The answer; None if none comes in time.
-    """
-    if not until(client.service_is_ready, seconds):
-        return None
-    future = client.call_async(request)
-    try:
-        return future.result() if until(future.done, seconds) else None
-    finally:
-        client.remove_pending_request(future)
 
 
 class Once:

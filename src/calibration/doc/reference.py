@@ -13,6 +13,7 @@ from xml.etree import ElementTree as ET
 
 from calibration import node as nodes
 from calibration import process_tree, topics
+from calibration.executables import MODULES
 from calibration.instruments.acquisition import COMMON
 from calibration.node import Declared
 from calibration_core.cell import load_cell
@@ -26,15 +27,6 @@ TREES = {
     "real_cell": process_tree.REAL_CELL,
     "simulated_cell": process_tree.SIMULATED_CELL,
     "replay": process_tree.REPLAY,
-}
-MODULES = {
-    "compensation": "compensation.compensation",
-    "force_torque": "instruments.force_torque",
-    "guard": "guard.parameters",
-    "identification": "evaluation.identification",
-    "recorder": "recorder.recorder",
-    "sequencer": "sequencer.parameters",
-    "tracker": "instruments.tracker",
 }
 HEAD = """# Reference
 
@@ -58,7 +50,7 @@ def code(value: object) -> str:
 
 def declared(name: str) -> tuple[Declared, ...]:
     """Return the parameters of a node of the package `calibration`."""
-    own = importlib.import_module(f"calibration.{MODULES.get(name, name)}").PARAMETERS
+    own = importlib.import_module(f"calibration.{MODULES[name]}").PARAMETERS
     common = COMMON if name in ("tracker", "force_torque") else ()
     return (*common, *own)
 

@@ -14,10 +14,10 @@ import numpy as np
 from calibration_interfaces.msg import Permission
 
 from calibration.cell.clients import Measured
-from calibration.cell.permission import PermissionWatch
-from calibration.cell.readings import ReadingError
+from calibration.cell.reading_checks import ReadingError
+from calibration.cell.watches import PermissionWatch
 from calibration.motion.arrival import Joints
-from calibration.motion.base import End
+from calibration.motion.backends import End
 from calibration.motion.stop import Stopper
 from calibration.sequencer.goal import Goal
 from calibration.sequencer.runner import Runner

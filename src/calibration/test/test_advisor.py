@@ -18,7 +18,7 @@ from calibration_interfaces.msg import MeasurementProgress
 from rclpy.parameter import Parameter
 
 from calibration.evaluation.worker import worked_out
-from calibration.sequencer.advisor import Advisor
+from calibration.sequencer.feedback import Advisor
 from calibration.sequencer.sequencer import SequencerNode
 from calibration.topics import PROGRESS
 from calibration_core.cell import load_cell

@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 from scipy.spatial.transform import Rotation
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from calibration.compensation.compensation import CompensationNode
+from calibration.compensation import CompensationNode
 from calibration_core.cell import load_cell
 from calibration_core.cli import main
 from calibration_core.errors import InputError

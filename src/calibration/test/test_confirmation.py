@@ -7,8 +7,7 @@ import math
 
 import pytest
 
-from calibration.robot_state.adapter import Report, load_adapter
-from calibration.robot_state.confirmation import Confirmation, checked, confirmed
+from calibration.robot_state.adapter import Confirmation, Report, checked, confirmed, load_adapter
 from calibration_core.errors import InputError
 from calibration_core.motion.robot_status import Drives, OperatingMode, RobotStatus, SafetyState
 

@@ -26,7 +26,7 @@ from sequencer_world import CELL, JOINTS, PULL, Operator, World, overrides
 
 from calibration.conversions import to_outcome
 from calibration.rclpy_gaps import in_executor
-from calibration.recorder.recorder import RecorderNode
+from calibration.recorder import RecorderNode
 from calibration.sequencer.goal import TABLE, Answer, Goal, GoalEndedError, Request, Stage
 from calibration.sequencer.sequencer import SequencerNode
 from calibration_core.files.yaml_file import yaml_text

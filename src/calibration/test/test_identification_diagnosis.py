@@ -31,7 +31,7 @@ SAME = ("result.json", "model.yaml", "table2.csv")
 
 @pytest.fixture
 def node(spinning: Any) -> IdentificationNode:
-    given = {"cell": str(CELL), "recording": str(BAG), "feedback_period": 0.02}
+    given = {"cell": str(CELL), "recording": str(BAG)}
     overrides = [Parameter(name, value=value) for name, value in given.items()]
     return spinning.add(IdentificationNode(context=spinning.context, parameter_overrides=overrides))
 

@@ -18,14 +18,12 @@ import yaml
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
 import calibration.executables as entry_points
-from calibration import manager, panel, process_tree
-from calibration.compensation import compensation
+from calibration import compensation, manager, panel, process_tree, recorder
 from calibration.evaluation import identification
 from calibration.guard import guard
 from calibration.instruments import force_torque, tracker
 from calibration.instruments.acquisition import COMMON
 from calibration.node import NODE_NAMES, Declared
-from calibration.recorder import recorder
 from calibration.sequencer import parameters as sequencer_parameters
 from calibration_core.errors import InputError
 

@@ -18,8 +18,8 @@ from calibration_interfaces.msg import NodeHealth, State
 from rclpy.parameter import Parameter
 from stand_ins import CELL
 
-from calibration.health import LEASE
 from calibration.manager import ManagerNode
+from calibration.node import LEASE
 from calibration.topics import STATE
 
 pytestmark = pytest.mark.alone

@@ -23,7 +23,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from calibration.evaluation import identification
 from calibration.evaluation.identification import IdentificationNode
-from calibration.evaluation.markers import Look, to_markers
+from calibration.evaluation.markers import to_markers
 from calibration.sequencer.sequencer import SequencerNode
 from calibration.topics import MARKERS, PLAN_MARKERS
 from calibration_core.cell import load_cell
@@ -34,7 +34,6 @@ from calibration_core.report.results.scene import Scene
 
 DEMO = CELL.with_name("demo.cell.yaml")
 POSES = [[0.1, 0.2, 0.1, 0.0, 0.3, 0.0], [0.4, -0.1, 0.2, 0.3, -0.5, 0.2]]
-LOOK = Look("base_link", "flange", 0.02)
 
 
 def by_space(markers: MarkerArray) -> dict[str, list[Marker]]:
@@ -63,7 +62,7 @@ def scene(loads: int) -> Scene:
 
 def test_points_stand_on_the_flange() -> None:
     cell = load_cell(DEMO)
-    found = by_space(to_markers(cell, None, LOOK))
+    found = by_space(to_markers(cell, None))
     assert set(found) == {"measurement_points", "measurement_points_names", "wrench_point", "wrench_point_names"}
     spheres = found["measurement_points"]
     assert {marker.header.frame_id for marker in spheres} == {"flange"}
@@ -76,7 +75,7 @@ def test_points_stand_on_the_flange() -> None:
 
 def test_space_and_deflections_stand_in_the_base_frame() -> None:
     shown = scene(loads=2)
-    found = by_space(to_markers(load_cell(DEMO), shown, LOOK))
+    found = by_space(to_markers(load_cell(DEMO), shown))
     for name in ("mp1", "mp2"):
         (marker,) = found[f"space_{name}"]
         assert (marker.type, marker.header.frame_id) == (Marker.SPHERE_LIST, "base_link")
@@ -91,15 +90,8 @@ def test_space_and_deflections_stand_in_the_base_frame() -> None:
 
 
 def test_without_loads_there_are_neither_arrows_nor_wrench_points() -> None:
-    found = by_space(to_markers(load_cell(DEMO), scene(loads=0), LOOK))
+    found = by_space(to_markers(load_cell(DEMO), scene(loads=0)))
     assert not {"deflection", "space_wrench_point"} & set(found)
-
-
-def test_names_of_frames() -> None:
-    urdf, dh = load_cell(DEMO), load_cell(CELL)
-    assert Look.of(urdf, "", "", 0.02) == Look("base_link", "flange", 0.02)
-    assert Look.of(dh, "", "", 0.02) == Look("base_link", "flange", 0.02)
-    assert Look.of(dh, "robot_base", "tool0", 0.02) == Look("robot_base", "tool0", 0.02)
 
 
 def a_plan(folder: Path) -> Path:
@@ -115,7 +107,7 @@ def a_plan(folder: Path) -> Path:
 
 def test_a_plan_is_shown_when_its_measurement_begins(spinning: Any, until: Callable[..., None], tmp_path: Path) -> None:
     given = {"cell": str(DEMO), "motion.backend": "external", "force_torque": "", "recorder": "", "server_wait": 0.1}
-    overrides = [Parameter(name, value=value) for name, value in (given | {"markers.size": 0.05}).items()]
+    overrides = [Parameter(name, value=value) for name, value in given.items()]
     spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides))
     client = spinning.plain()
     run = GoalClient(client, RunPlan, "/sequencer/run")
@@ -131,7 +123,7 @@ def test_a_plan_is_shown_when_its_measurement_begins(spinning: Any, until: Calla
     for name, point in cell.frames.measurement_points.items():
         (marker,) = found[f"space_{name}"]
         np.testing.assert_allclose(places(marker.points), at.point(np.array(point)).T, atol=1e-12)
-        assert marker.scale.x == 0.05
+        assert marker.scale.x == 0.02
     assert cell.frames.wrench_point is not None
     wrench = at.point(np.array(cell.frames.wrench_point)).T
     np.testing.assert_allclose(places(found["space_wrench_point"][0].points), wrench, atol=1e-12)
@@ -139,7 +131,7 @@ def test_a_plan_is_shown_when_its_measurement_begins(spinning: Any, until: Calla
 
 
 def test_a_result_is_shown_to_whoever_comes_late(spinning: Any, until: Callable[..., None], tmp_path: Path) -> None:
-    given = {"cell": str(CELL), "markers.scale": 500.0, "markers.size": 0.01, "markers.base": "robot_base"}
+    given = {"cell": str(CELL), "markers.scale": 500.0}
     overrides = [Parameter(name, value=value) for name, value in given.items()]
     spinning.add(IdentificationNode(context=spinning.context, parameter_overrides=overrides))
     client = spinning.plain()
@@ -157,8 +149,7 @@ def test_a_result_is_shown_to_whoever_comes_late(spinning: Any, until: Callable[
     arrows = np.array([places(marker.points) for marker in found["deflection"]])
     np.testing.assert_allclose(arrows[:, 0], space["points"]["mp1"], rtol=1e-12)
     np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], 500.0 * np.array(space["deflection"]), rtol=1e-9)
-    assert found["deflection"][0].header.frame_id == "robot_base"
-    assert found["space_mp1"][0].scale.x == 0.01
+    assert found["deflection"][0].header.frame_id == "base_link"
 
 
 def test_a_defect_in_showing_is_told_and_spoils_no_answer(

@@ -22,20 +22,25 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from calibration.cell.permission import SILENT, PermissionWatch
-from calibration.motion import action_motion, follow_joint_trajectory
+from calibration.asks import Call, parse_call, succeeded, wait_until
+from calibration.cell.watches import SILENT, PermissionWatch
 from calibration.motion.arrival import ArrivalRules, Joints
-from calibration.motion.base import End
-from calibration.motion.calls import Call, parse_call, succeeded
-from calibration.motion.catalogue import make_backend
-from calibration.motion.external import ExternalMotion
-from calibration.motion.follow_joint_trajectory import decoded
-from calibration.motion.joint_trajectory_topic import TopicMotion
-from calibration.motion.messages import hold, to_duration, to_joint_trajectory
-from calibration.motion.simulated import simulated
+from calibration.motion.backends import (
+    ACCEPT_TIME,
+    End,
+    ExternalMotion,
+    TopicMotion,
+    decoded,
+    hold,
+    make_backend,
+    to_duration,
+    to_goal,
+    to_joint_trajectory,
+    verdict,
+)
 from calibration.motion.stop import DESPERATE, CancelGoals, Stopper
 from calibration.process_tree import BACKENDS
-from calibration.rclpy_gaps import in_executor, wait_until
+from calibration.rclpy_gaps import in_executor
 from calibration_core.errors import InputError
 from calibration_core.motion.trajectory import Trajectory
 from calibration_core.timeseries import NANOSECONDS
@@ -86,9 +91,9 @@ def test_success_needs_both_status_and_code() -> None:
     def answer(status: int, code: int) -> Any:
         return SimpleNamespace(status=status, result=SimpleNamespace(error_code=code, error_string="because"))
 
-    assert follow_joint_trajectory.verdict(answer(4, 0))[0]
-    assert not follow_joint_trajectory.verdict(answer(6, 0))[0]
-    success, text = follow_joint_trajectory.verdict(answer(4, -4))
+    assert verdict(answer(4, 0))[0]
+    assert not verdict(answer(6, 0))[0]
+    success, text = verdict(answer(4, -4))
     assert not success
     assert "path tolerance" in text
     assert "because" in text
@@ -96,7 +101,7 @@ def test_success_needs_both_status_and_code() -> None:
 
 def test_follow_joint_trajectory_goal() -> None:
     action = SimpleNamespace(Goal=lambda trajectory: SimpleNamespace(trajectory=trajectory))
-    goal = follow_joint_trajectory.to_goal(action, SimpleNamespace, TRAJECTORY, 0.002, 10.0)
+    goal = to_goal(action, SimpleNamespace, TRAJECTORY, 0.002)
     assert [t.name for t in goal.goal_tolerance] == list(JOINTS)
     assert {t.position for t in goal.goal_tolerance} == {0.002}
     assert goal.goal_time_tolerance.sec == 10
@@ -121,7 +126,7 @@ def test_the_next_stage_is_taken_until_the_robot_stands(spinning: Any, until: An
     spinning.plain("controller").create_subscription(JointTrajectory, "hold", held.append, 10)
     stopped, told, calls = list[bool](), list[Any](), list[Any]()
     node.diagnostics = SimpleNamespace(report=lambda *words: told.append(words))
-    maker = SimpleNamespace(call_async=calls.append)
+    maker = SimpleNamespace(ask=lambda request, _ended: calls.append(request))
     course = (np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.0, -0.2]), 0.0)
     backend: Any = SimpleNamespace(stop=lambda: stopped.append(True))
     stop = Stopper(node, backend, JOINTS, lambda: course, hold_topic="hold", calls=[(maker, "stop")])
@@ -248,6 +253,10 @@ class Soon:
         yield
 
 
+def simulated(node: Any, interface: str = "") -> Any:
+    return make_backend("simulated", node, JOINTS, **options(interface=interface))
+
+
 class Ends:
     """What a back end said."""
 
@@ -365,8 +374,8 @@ def test_a_driver_that_does_not_answer(spinning: Any) -> None:
     backend.move(TRAJECTORY, ends)
     backend.tick(time.monotonic())
     assert ends.said == []
-    backend.tick(time.monotonic() + action_motion.ACCEPT_TIME + 0.1)
-    backend.tick(time.monotonic() + action_motion.ACCEPT_TIME + 0.2)
+    backend.tick(time.monotonic() + ACCEPT_TIME + 0.1)
+    backend.tick(time.monotonic() + ACCEPT_TIME + 0.2)
     assert ends.said == [(End.FAILURE, "nobody/move_to does not answer")]
 
 
@@ -394,7 +403,7 @@ def test_a_stop_without_a_driver_leaves_nothing_behind(spinning: Any) -> None:
     stop = CancelGoals(spinning.plain(), "nobody/move", lambda *_: None)
     for now in range(50):
         stop.command(float(now))
-    assert len(stop._client._pending_requests) == 1
+    assert len(stop._server._client._pending_requests) == 1
     assert stop.unanswered(50.0)
 
 
@@ -410,7 +419,7 @@ def test_motion_by_the_operator() -> None:
 
 
 def options(**changes: Any) -> dict[str, Any]:
-    return {"interface": "", "rules": ArrivalRules(), "course": lambda: None, "ask": lambda _: None} | changes
+    return {"interface": "", "tolerance": 2e-3, "course": lambda: None, "ask": lambda _: None} | changes
 
 
 def test_back_ends_by_name(spinning: Any) -> None:

@@ -30,7 +30,7 @@ from calibration.web.access import (
 )
 from calibration.web.folder import Folder
 from calibration.web.request_table import KINDS, RequestError, read
-from calibration.web.shown.band import Held, _advice, pull
+from calibration.web.view import Held, _advice, pull
 
 STATIC = Path(__file__).resolve().parents[1] / "calibration" / "web" / "static"
 
@@ -377,7 +377,7 @@ def test_every_word_of_the_page_is_there_in_both_languages_and_used() -> None:
 def test_every_code_of_the_nodes_has_words() -> None:
     pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
     from calibration.manager import NAMES
-    from calibration.web.shown.plain import CONSTANTS
+    from calibration.web.view import CONSTANTS
 
     codes = [f"node_{one}" for one in NAMES]
     codes += [f"reason_{one}" for one in CONSTANTS["Permission"]["reasons"].values()]
@@ -389,7 +389,7 @@ def test_every_code_of_the_nodes_has_words() -> None:
     codes += [f"against_{one}" for one in re.findall(r'return "(\w+)"', inspect.getsource(_advice))]
     codes += [f"mode_{one}" for one in CONSTANTS["RobotState"]["operating_mode"].values()]
     codes += [f"drives_{one}" for one in CONSTANTS["RobotState"]["drives"].values()]
-    faults = Path(STATIC.parents[1] / "status" / "faults.py").read_text("utf-8")
+    faults = Path(STATIC.parents[1] / "status.py").read_text("utf-8")
     found = re.findall(r'_fault\(Fault[^"]*"(\w+)"|code = "(\w+)" if .* else "(\w+)"', faults)
     codes += [f"fault_{one}" for row in found for one in row if one]
     assert [one for one in codes if one not in words()] == []

@@ -223,7 +223,7 @@ def test_what_fails_in_the_executor_is_answered(panel: Any, monkeypatch: pytest.
     def broken(*_: Any, **__: Any) -> Any:
         raise RuntimeError("no client")
 
-    monkeypatch.setattr("calibration.web.link.ActionClient", broken)
+    monkeypatch.setattr("calibration.web.link.Server", broken)
     (tmp_path / "plan.yaml").write_text("x", "utf-8")
 
     async def work() -> None:

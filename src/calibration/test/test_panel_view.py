@@ -24,8 +24,7 @@ from calibration_interfaces.msg import (
     State,
 )
 
-from calibration.web.shown.plain import CONSTANTS, plain
-from calibration.web.shown.view import checklist, forgotten, place_of, running, unfinished, view
+from calibration.web.view import CONSTANTS, checklist, forgotten, place_of, plain, running, unfinished, view
 
 
 def loading(**changes: Any) -> State:

@@ -10,7 +10,7 @@ pytest.importorskip("calibration_interfaces")
 
 from calibration_interfaces.msg import Permission
 
-from calibration.cell.permission import SILENT, PermissionWatch
+from calibration.cell.watches import SILENT, PermissionWatch
 
 MAX_AGE = 0.5  # s
 

@@ -16,7 +16,7 @@ from calibration_interfaces.msg import Outcome
 from calibration_interfaces.srv import ProveStop
 
 from calibration.conversions import to_outcome
-from calibration.motion.base import End
+from calibration.motion.backends import End
 from calibration.motion.prover import FASTEST, REST, SERVICE, Prover
 
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
@@ -52,8 +52,8 @@ def test_the_end_of_an_earlier_goal_is_not_that_of_the_next_one(spinning: Any, u
     guard.create_service(ProveStop, SERVICE, judge)
     driver = Driver()
     prover = Prover(spinning.plain("prover"), driver, JOINTS, lambda: (np.zeros(6), np.zeros(6), 0.0))
-    assert prover._client is not None
-    assert prover._client.wait_for_service(20.0)
+    assert prover._guard is not None
+    until(prover._guard.ready)
 
     def tried() -> bool:
         prover.tick(time.monotonic())
@@ -91,8 +91,8 @@ def test_a_clock_that_stood_still_at_first_does_not_shorten_every_goal(
     guard.create_service(ProveStop, SERVICE, judge)
     driver, clock = Driver(), [0.0, 1.0]  # s of the robot's clock, and its pace
     prover = Prover(node, driver, JOINTS, lambda: (np.zeros(6), np.zeros(6), 0.0))
-    assert prover._client is not None
-    assert prover._client.wait_for_service(20.0)
+    assert prover._guard is not None
+    until(prover._guard.ready)
     stand_in = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(1e9 * clock[0])))
     monkeypatch.setattr(node, "get_clock", lambda: stand_in)
     now = time.monotonic()

@@ -30,11 +30,10 @@ from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from calibration.cell.recorder_client import Recorder, Wanted
+from calibration import recorder as module
+from calibration.cell.equipment import Recorder, Wanted
 from calibration.conversions import to_header, to_step, to_wrench
-from calibration.recorder import recorder as module
-from calibration.recorder.definitions import definition
-from calibration.recorder.recorder import RecorderNode
+from calibration.recorder import RecorderNode, definition
 from calibration.topics import EVENT, OWN, READING, RECORDING, contract_topics, recorded_topics
 from calibration_core.cell import load_cell
 from calibration_core.errors import RecordingError
@@ -50,7 +49,7 @@ MS = 1_000_000
 
 
 def recorder(context: Any, out: Path | str, **values: Any) -> RecorderNode:
-    given = {"cell": str(CELL_FILE), "out": str(out), "sync_period": 0.05, **values}
+    given = {"cell": str(CELL_FILE), "out": str(out), **values}
     overrides = [Parameter(name, value=value) for name, value in given.items()]
     return RecorderNode(context=context, parameter_overrides=overrides)
 

@@ -13,8 +13,15 @@ from test_drivers import SUPERVISION, UR, gpio, loaded
 
 from calibration.guard.parameters import PARAMETERS, guard_rules
 from calibration.robot_state import GENERIC, NAMES
-from calibration.robot_state.adapter import Received, assemble, load_adapter
-from calibration.robot_state.confirmation import CONFIRMABLE, Confirmation, checked, confirmed
+from calibration.robot_state.adapter import (
+    CONFIRMABLE,
+    Confirmation,
+    Received,
+    assemble,
+    checked,
+    confirmed,
+    load_adapter,
+)
 from calibration_core.cell import Safety, load_cell
 from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.robot import chain_of

@@ -17,7 +17,7 @@ pytest.importorskip("calibration_interfaces")
 from runner_bench import HOME, Bench
 
 from calibration.motion.arrival import ArrivalRules, Joints
-from calibration.motion.base import End
+from calibration.motion.backends import End
 from calibration.sequencer import runner as module
 from calibration.sequencer.runner import Call
 from calibration_core.measurement import messages as m

@@ -18,6 +18,9 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("calibration_interfaces")
 
+import re
+
+import pytest
 from calibration_interfaces.action import RunPlan
 from calibration_interfaces.msg import (
     Condition,
@@ -28,16 +31,18 @@ from calibration_interfaces.msg import (
     SampleCheck,
     SessionEvent,
 )
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from sequencer_world import CELL, GOAL, JOINTS, PULL, Operator, World, ended, overrides
+from std_msgs.msg import String
 
 from calibration.cell.port import logged
 from calibration.sequencer.goal import Goal, Request
 from calibration.sequencer.operator_services import HELD, OperatorServices
-from calibration.sequencer.parameters import FREE, PARAMETERS, motion_limits
+from calibration.sequencer.parameters import PARAMETERS, motion_limits
 from calibration.sequencer.runner import Call
 from calibration.sequencer.sequencer import SequencerNode
-from calibration.topics import PROGRESS, SAMPLE_CHECK, Quality, profile
+from calibration.topics import PROCEDURE, PROGRESS, SAMPLE_CHECK, Quality, profile
 from calibration_core.cell import Safety, load_cell
 from calibration_core.errors import InputError, SessionGoneError
 from calibration_core.files.yaml_file import yaml_text
@@ -62,7 +67,6 @@ def test_parameters_of_a_run_change_between_runs_alone(spinning: Any) -> None:
     usual = {"cell": str(CELL), "motion.backend": "external", "force_torque": "", "recorder": "", "progress": False}
     given = [Parameter(name, value=value) for name, value in usual.items()]
     node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=given))
-    assert {one.name for one in PARAMETERS if not one.read_only} == FREE
     assert node.set_parameters([Parameter("settle_time", value=2.5)])[0].successful
     assert not node.set_parameters([Parameter("settle_time", value=-1.0)])[0].successful
     assert not node.set_parameters([Parameter("permission_age", value=0.9)])[0].successful
@@ -186,15 +190,24 @@ def slow_disk() -> Iterator[SlowDisk]:
     one.free()
 
 
-def test_a_silent_guard_stops_a_motion_even_while_a_disk_is_slow(
+@pytest.fixture
+def busy(
     slow_disk: SlowDisk, spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
-) -> None:
+) -> tuple[Any, Any, Path]:
+    """A motion under way while the runner waits for a disk: node, goal, and where a stop is noted."""
     trace = tmp_path / "trace.csv"
     node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides(trace=str(trace))))
     handle = operator.measure(plan, tmp_path / "session")
     until(lambda: node.runner is not None and node.runner.moving)
     node.runner.post(Call(slow_disk.write))
     assert slow_disk.waits.wait(20.0)
+    return node, handle, trace
+
+
+def test_a_silent_guard_stops_a_motion_even_while_a_disk_is_slow(
+    slow_disk: SlowDisk, busy: tuple[Any, Any, Path], world: World, until: Any
+) -> None:
+    _, handle, trace = busy
     world.timer.cancel()
     until(lambda: trace.exists() and trace.read_text())  # it is made first, and written then
     slow_disk.free()
@@ -204,14 +217,9 @@ def test_a_silent_guard_stops_a_motion_even_while_a_disk_is_slow(
 
 
 def test_the_operator_stops_a_motion_even_while_a_disk_is_slow(
-    slow_disk: SlowDisk, spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+    slow_disk: SlowDisk, busy: tuple[Any, Any, Path], operator: Operator
 ) -> None:
-    trace = tmp_path / "trace.csv"
-    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides(trace=str(trace))))
-    handle = operator.measure(plan, tmp_path / "session")
-    until(lambda: node.runner is not None and node.runner.moving)
-    node.runner.post(Call(slow_disk.write))
-    assert slow_disk.waits.wait(20.0)
+    _, handle, trace = busy
     assert operator.says("stop").success
     assert "stop" in trace.read_text()
     slow_disk.free()
@@ -219,16 +227,12 @@ def test_the_operator_stops_a_motion_even_while_a_disk_is_slow(
 
 
 def test_a_lost_instrument_stops_a_motion_even_while_a_disk_is_slow(
-    slow_disk: SlowDisk, spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+    slow_disk: SlowDisk, busy: tuple[Any, Any, Path], world: World, until: Any
 ) -> None:
     """It is stopped before the runner can look, which then pauses: nothing moves before the operator says so."""
-    trace = tmp_path / "trace.csv"
-    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides(trace=str(trace))))
+    node, handle, trace = busy
     check = world.node.create_publisher(SAMPLE_CHECK.message, SAMPLE_CHECK.relative, SAMPLE_CHECK.qos)
-    handle = operator.measure(plan, tmp_path / "session")
-    until(lambda: node.runner is not None and node.runner.moving)
-    node.runner.post(Call(slow_disk.write))
-    assert slow_disk.waits.wait(20.0)
+    until(check.get_subscription_count)
     check.publish(SampleCheck(name="mp1", problem=SampleCheck.TWO_SOURCES, text="two publishers"))
     until(lambda: trace.exists() and trace.read_text())
     time.sleep(0.2)
@@ -533,3 +537,134 @@ def test_targets_pause_the_run_until_they_are_right_or_somebody_answers_for_them
         assert named == [("targets", "A. Smith")] * (fault == "knocked")
         assert [outcome for *_, outcome, _ in session.attempts] == ["given up", "completed"]
         assert len(session.confirmed()) == 6
+
+
+def test_what_cannot_be_begun_is_rejected(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    assert "no/such.yaml" in operator.rejected(until, tmp_path / "no" / "such.yaml", tmp_path / "session")
+    assert "no session" in operator.rejected(until, plan, tmp_path / "session", resume=True)
+    other = tmp_path / "other.yaml"
+    other.write_text(plan.read_text().replace("joint_6", "axis_6"))
+    assert "expected the cell's joints" in operator.rejected(until, other, tmp_path / "session")
+    assert not (tmp_path / "session").exists()
+
+
+def test_another_robot_than_the_cells_is_not_moved(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    told: list[str] = []
+    world.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda one: told.extend(str(status.message) for status in one.status), 10
+    )
+    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    handle = operator.measure(plan, tmp_path / "first")  # nobody describes the robot: that is told, and no reason
+    until(lambda: node.runner is not None)
+    until(lambda: any(text.startswith("nothing comes on /robot_description") for text in told))
+    text = load_cell(CELL).urdf_path.read_text("utf-8")
+    described = world.node.create_publisher(String, "robot_description", profile(Quality.STATE))
+    described.publish(String(data=text))
+    time.sleep(1.5)
+    assert not node.runner.sequence.paused
+    other = re.sub(r'upper="[^"]*"', 'upper="0.9"', text, count=1)
+    described.publish(String(data=other))  # another one, in the middle of a run
+    until(lambda: node.runner.sequence.paused)
+    until(lambda: "/robot_description is another robot than" in node.runner.sequence.snapshot().question)
+    assert "limits of joint_1" in node.runner.sequence.snapshot().question
+    assert operator.says("stop").success
+    assert ended(handle).outcome.code == Outcome.STOPPED
+    refused = operator.rejected(until, plan, tmp_path / "second")
+    assert "/robot_description is another robot than" in refused
+    described.publish(String(data=text))
+    until(lambda: not node._description.fault)
+    handle = operator.measure(plan, tmp_path / "second")
+    assert handle.accepted
+    until(lambda: node.runner is not None)
+    assert operator.says("stop").success
+
+
+def test_after_a_loss_of_permission_motion_is_resumed_by_name(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    handle = operator.measure(plan, tmp_path / "session")
+    until(lambda: node.runner is not None and node.runner.moving)
+    world.permitted = False
+    until(lambda: node.runner.sequence.held)
+    assert operator.moves_on().code == Outcome.NOT_PERMITTED
+    world.permitted = True
+    until(lambda: operator.moves_on().code == Outcome.OK)
+    until(lambda: node.runner.moving and not node.runner.sequence.held)
+    world.permitted = False
+    until(lambda: node.runner.sequence.held)
+    world.permitted = True
+    answer = operator.says("resume")
+    assert (answer.success, "resume_motion" in answer.message) == (False, True)
+    assert "name" in operator.moves_on(" ").text
+    time.sleep(0.5)
+    assert not node.runner.moving
+    until(lambda: operator.moves_on().code == Outcome.OK)
+    until(lambda: node.runner.moving)
+    assert any(one.kind == SessionEvent.CONTINUED and one.text == "by A. Smith" for one in operator.events)
+    handle.cancel_goal_async()
+    assert ended(handle).outcome.code == Outcome.CANCELLED
+
+
+def test_a_goal_accepted_without_permission_waits_for_the_operator(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    """Neither the reset of a latch nor drives that are switched on begin a motion."""
+    world.permitted = False
+    given = overrides(server_wait=0.5)
+    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=given))
+    handle = operator.measure(plan, tmp_path / "session")
+    until(lambda: node.runner is not None and node.runner.sequence.held)
+    world.permitted = True
+    time.sleep(0.5)
+    assert not node.runner.moving
+    assert operator.moves_on().code == Outcome.OK
+    until(lambda: node.runner.moving)
+    handle.cancel_goal_async()
+    assert ended(handle).outcome.code == Outcome.CANCELLED
+
+
+def test_a_client_that_is_gone_pauses_the_run(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    operator.measure(plan, tmp_path / "session")
+    until(lambda: node.runner is not None and node.runner.moving)
+    time.sleep(0.5)
+    assert not node.runner.sequence.paused
+    operator.plan.destroy()
+    until(lambda: node.runner.sequence.paused)
+    assert operator.says("resume").success
+    until(lambda: node.runner.moving)  # the operator minds it
+    time.sleep(0.5)
+    assert not node.runner.sequence.paused
+    assert operator.says("stop").success
+    until(lambda: node.runner is None)
+
+
+def test_a_wrench_that_two_publish_pauses_the_run(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    checks = world.node.create_publisher(SAMPLE_CHECK.message, SAMPLE_CHECK.relative, SAMPLE_CHECK.qos)
+    heard: list[Any] = []
+    world.node.create_subscription(PROCEDURE.message, PROCEDURE.relative, heard.append, PROCEDURE.qos)
+    handle = operator.measure(plan, tmp_path / "session")
+    until(lambda: operator.steps)
+    words = "/input/wrench is published by /driver, /old_driver"
+    checks.publish(SampleCheck(name="wrench", problem=SampleCheck.TWO_SOURCES, text=words))
+    until(lambda: heard and heard[-1].paused and words in heard[-1].question)
+    operator.says("resume")
+    time.sleep(0.5)
+    assert heard[-1].paused
+    checks.publish(SampleCheck(name="wrench", problem=SampleCheck.FINE))
+    until(lambda: not node._equipment.fault(time.monotonic()))
+    assert operator.says("resume").success
+    until(lambda: not heard[-1].paused)
+    assert operator.says("stop").success
+    assert ended(handle).outcome.code == Outcome.STOPPED

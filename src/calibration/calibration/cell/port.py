@@ -12,8 +12,7 @@ import numpy as np
 from calibration_interfaces.msg import Outcome, SessionEvent
 
 from calibration.cell.clients import Instruments, LoadDevice, Measured
-from calibration.cell.reading_checks import PresentLoad, ReadingChecks
-from calibration.cell.readings import ReadingError, confirmed_readings, to_reading
+from calibration.cell.reading_checks import PresentLoad, ReadingChecks, ReadingError, confirmed_readings, to_reading
 from calibration.conversions import to_header, to_step
 from calibration.motion.arrival import Joints
 from calibration_core.errors import SessionGoneError
@@ -236,9 +235,9 @@ class CellPort:
 
     def measure(self, answered: Callable[[Measured], None]) -> None:
         """Average over one window, which begins no earlier than the robot was last seen to stand."""
-        window, timeout, samples = (self._node.value(name) for name in ("window", "measure_timeout", "min_samples"))
+        window, timeout = self._node.value("window"), self._node.value("measure_timeout")
         since = self._joints.until
-        self._instruments.measure(self._node.cell.points, window, timeout, samples, since, PATIENCE, answered)
+        self._instruments.measure(self._node.cell.points, window, timeout, since, PATIENCE, answered)
 
     def confirm(self, command: m.TakeReading, measured: Measured) -> None:
         """Put the readings of one step on the disk, then announce them.
@@ -355,7 +354,7 @@ class CellPort:
         self._instruments.tick(now)
         self._look_at_load(now)
         if self._load_device is not None:
-            self._load_device.port.tick(now)
+            self._load_device.server.tick(now)
 
 
 def logged(record: m.Record) -> str:

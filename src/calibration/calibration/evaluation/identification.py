@@ -25,7 +25,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.qos import QoSProfile
 
 from calibration.conversions import to_outcome
-from calibration.evaluation.markers import Look, to_markers
+from calibration.evaluation.markers import to_markers
 from calibration.evaluation.worker import CancelledError, Worker
 from calibration.node import CalibrationNode, Declared, run
 from calibration.rclpy_gaps import Background
@@ -38,13 +38,10 @@ PARAMETERS = (
     Declared("cell", "", "The cell file taken where a request names none.", read_only=False),
     Declared("recording", "", "Taken where a request names none and no session was recorded.", read_only=False),
     Declared("out", "", "Directory for results; empty: beside the recording.", read_only=False),
-    Declared("feedback_period", 0.2, "Time between two reports of progress, s.", low=0.01),
     Declared("markers.scale", 200.0, "Deflections are drawn so many times as long.", low=0.0, read_only=False),
-    Declared("markers.size", 0.02, "m, diameter of a point.", low=1e-4, high=1.0, read_only=False),
-    Declared("markers.base", "", "Name of the robot's base frame; empty: the cell file's, or base_link."),
-    Declared("markers.flange", "", "Name of the robot's flange frame; empty: the cell file's, or flange."),
 )
 MANY = QoSProfile(depth=1000)  # requests at once: those beyond it would never be answered
+FEEDBACK_PERIOD = 0.2  # s between two reports of progress
 PACE = 0.005  # s between two refusals: a client keeps ten answers, and would lose what comes faster than it takes them
 ERRORS = {
     "InputError": Outcome.INPUT_UNUSABLE,
@@ -129,11 +126,10 @@ class IdentificationNode(CalibrationNode):
         except InputError as error:
             self.get_logger().warning(f"nothing to show: {error}")
             return
-        look = Look.of(cell, *(self.value(f"markers.{name}") for name in ("base", "flange", "size")))
         scene = None
         if result_json:
             scene = scene_of(json.loads(result_json)["operating_space"], self.value("markers.scale"))
-        self._markers.publish(to_markers(cell, scene, look))
+        self._markers.publish(to_markers(cell, scene))
 
     async def _on_stiffness(self, request: Any, response: Any) -> Any:
         what = Identify.Goal.STIFFNESS
@@ -162,7 +158,7 @@ class IdentificationNode(CalibrationNode):
 
         def cancelled() -> bool:
             elapsed = time.monotonic() - began
-            if elapsed - reported[0] >= self.value("feedback_period"):
+            if elapsed - reported[0] >= FEEDBACK_PERIOD:
                 reported[0] = elapsed
                 now = self._worker.progress
                 goal.publish_feedback(Identify.Feedback(share_done=now.share, text=f"{now.text}: {elapsed:.1f} s"))

@@ -5,7 +5,6 @@ Everything has the stamp zero: it is shown at the newest transform.  The deflect
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -19,75 +18,55 @@ from calibration_core.report.results.scene import Scene
 
 MEASUREMENT = ColorRGBA(r=0.1, g=0.5, b=0.9, a=1.0)
 WRENCH = ColorRGBA(r=0.9, g=0.5, b=0.1, a=1.0)
+SIZE = 0.02  # m, diameter of a point
 DEFLECTION = ColorRGBA(r=0.85, g=0.1, b=0.1, a=1.0)
 SPACE = ColorRGBA(r=0.2, g=0.7, b=0.3, a=0.15)
 
 
-@dataclasses.dataclass(frozen=True)
-class Look:
-    """How markers are drawn.
-
-    Attributes:
-        base: Name of the base frame.
-        flange: Name of the flange frame.
-        size: m, diameter of a point.
-    """
-
-    base: str
-    flange: str
-    size: float
-
-    @classmethod
-    def of(cls, cell: Cell, base: str, flange: str, size: float) -> Look:
-        """Return a look with the cell's own names of the frames where none are given, else the URDF's usual ones."""
-        robot = cell.robot
-        return cls(base or robot.base_link or "base_link", flange or robot.flange or "flange", size)
-
-
-def to_markers(cell: Cell, scene: Scene | None, look: Look) -> MarkerArray:
+def to_markers(cell: Cell, scene: Scene | None) -> MarkerArray:
     """Return all markers; they replace the ones before.
 
     Args:
         cell: For the points on the flange, as the cell file has them.
         scene: Operating space and deflections; None if nothing has been planned or evaluated yet.
-        look: How.
     """
-    markers = [Marker(action=Marker.DELETEALL), *_on_flange(cell, look)]
+    markers = [Marker(action=Marker.DELETEALL), *_on_flange(cell)]
     if scene is not None:
-        markers += _in_space(scene, look)
+        markers += _in_space(scene, cell.robot.base_link or "base_link")
     return MarkerArray(markers=markers)
 
 
-def _on_flange(cell: Cell, look: Look) -> Iterator[Marker]:
+def _on_flange(cell: Cell) -> Iterator[Marker]:
+    flange = cell.robot.flange or "flange"
     points: Mapping[str, Any] = cell.frames.measurement_points
     named = [(name, place, MEASUREMENT, "measurement_points") for name, place in points.items()]
     if cell.frames.wrench_point is not None:
         named.append(("wrench point", cell.frames.wrench_point, WRENCH, "wrench_point"))
     for number, (name, place, colour, space) in enumerate(named):
         pose = Pose(position=to_point(place))
-        size = Vector3(x=look.size, y=look.size, z=look.size)
-        yield _marker(look.flange, space, number, Marker.SPHERE, colour, pose=pose, scale=size)
-        text = Vector3(z=2 * look.size)
+        size = Vector3(x=SIZE, y=SIZE, z=SIZE)
+        yield _marker(flange, space, number, Marker.SPHERE, colour, pose=pose, scale=size)
+        text = Vector3(z=2 * SIZE)
         yield _marker(
-            look.flange, f"{space}_names", number, Marker.TEXT_VIEW_FACING, colour, pose=pose, scale=text, text=name
+            flange, f"{space}_names", number, Marker.TEXT_VIEW_FACING, colour, pose=pose, scale=text, text=name
         )
 
 
-def _in_space(scene: Scene, look: Look) -> Iterator[Marker]:
-    size = Vector3(x=look.size, y=look.size, z=look.size)
+def _in_space(scene: Scene, base: str) -> Iterator[Marker]:
+    size = Vector3(x=SIZE, y=SIZE, z=SIZE)
     lists = [(f"space_{name}", places, MEASUREMENT) for name, places in scene.points.items()]
     for space, places, colour in (*lists, ("space_wrench_point", scene.wrench_point, WRENCH)):
         if len(places):
             points = [to_point(place) for place in places]
-            yield _marker(look.base, space, 0, Marker.SPHERE_LIST, colour, points=points, scale=size)
-    thin = Vector3(x=look.size / 4, y=look.size / 2, z=0.0)
+            yield _marker(base, space, 0, Marker.SPHERE_LIST, colour, points=points, scale=size)
+    thin = Vector3(x=SIZE / 4, y=SIZE / 2, z=0.0)
     for number, (start, end) in enumerate(scene.arrows):
         ends: list[Point] = [to_point(start), to_point(end)]
-        yield _marker(look.base, "deflection", number, Marker.ARROW, DEFLECTION, points=ends, scale=thin)
+        yield _marker(base, "deflection", number, Marker.ARROW, DEFLECTION, points=ends, scale=thin)
     centre, edges = scene.box
     x, y, z = (float(edge) for edge in edges)
     yield _marker(
-        look.base,
+        base,
         "operating_space",
         0,
         Marker.CUBE,

@@ -24,19 +24,18 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from calibration.conversions import joint_positions, stamp_ns, to_outcome, to_stamp
+from calibration.asks import Server
+from calibration.conversions import joint_positions, stamp_ns, to_outcome, to_permission, to_robot_state, to_stamp
 from calibration.guard.emergency import Emergency
 from calibration.guard.joint_publishers import JointPublishers
 from calibration.guard.latch import Latch, latch_file
-from calibration.guard.messages import to_permission, to_robot_state
 from calibration.guard.parameters import PARAMETERS, configured_adapter, guard_rules
 from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.motion.stop import make_stop_path
 from calibration.node import CalibrationNode, run
 from calibration.process_tree import STANDSTILL
 from calibration.rclpy_gaps import Once
-from calibration.robot_state.adapter import Received, Report, assemble
-from calibration.robot_state.confirmation import Confirmation, checked, confirmed
+from calibration.robot_state.adapter import Confirmation, Received, Report, assemble, checked, confirmed
 from calibration.topics import (
     PERMISSION,
     ROBOT_STATE,
@@ -56,6 +55,7 @@ from calibration_core.motion.speed import Monitored
 from calibration_core.timeseries import NANOSECONDS
 
 PULSE_DEADLINE = 0.1  # s, offered: two pulses of the permission are never farther apart
+STATE_PERIOD = 0.5  # s, of the robot state between changes
 ASK_EVERY = 1.0  # s, services of an adapter
 LOOK_AROUND = 1.0  # s, who publishes what the guard rests on
 RUNS_ON = "the robot does not stand: press the emergency stop"
@@ -92,7 +92,7 @@ class GuardNode(CalibrationNode):
             course=lambda: self._joints.course(self.now_ns()),
             ended=self._on_goal_ended,
         )
-        self._asked: dict[str, tuple[Any, Any, float]] = {}  # service -> client, pending answer, since
+        self._asked: dict[str, tuple[Server, Any]] = {}  # services and their classes
         self._deciding = threading.RLock()
         self._emergency = Emergency(self, self.stop_path, self.value("sequencer_age"), self.value("trace"))
         self._latch = Latch(latch_file(self.cell, self.get_namespace()))
@@ -121,7 +121,8 @@ class GuardNode(CalibrationNode):
         self.create_service(ProveStop, "~/prove_stop", self._on_prove, callback_group=ReentrantCallbackGroup())
         for key, source in self.adapter.sources.items():
             if source.is_service:
-                self._asked[key] = (self.create_client(load_type(source.kind), source.name), None, -math.inf)
+                kind = load_type(source.kind)
+                self._asked[key] = (Server(self, kind, source.name), kind)
 
     def _listen(self) -> None:
         # Best effort is heard from every publisher, and of a state only the newest matters.
@@ -175,26 +176,14 @@ class GuardNode(CalibrationNode):
 
     def _ask(self) -> None:
         """Ask the adapter's services again; an answer that does not come is given up, for its server may be gone."""
-        now = time.monotonic()
-        for key, (client, pending, since) in list(self._asked.items()):
-            if pending is not None and now - since < 3.0 * ASK_EVERY:
-                continue
-            if pending is not None:
-                client.remove_pending_request(pending)
-            pending = client.call_async(client.srv_type.Request()) if client.service_is_ready() else None
-            if pending is not None:
-                pending.add_done_callback(self._answer(key))
-            self._asked[key] = (client, pending, now)
+        for key, (server, kind) in self._asked.items():
+            server.tick(time.monotonic())
+            if not server.asked and server.ready():
+                server.ask(kind.Request(), functools.partial(self._on_answer, key), 3.0 * ASK_EVERY)
 
-    def _answer(self, key: str) -> Any:
-        def on_done(future: Any) -> None:
-            client, pending, since = self._asked[key]
-            if pending is future:
-                self._asked[key] = (client, None, since)
-            if future.exception() is None and future.result() is not None:
-                self._take(key, future.result())
-
-        return on_done
+    def _on_answer(self, key: str, answer: Any, _text: str) -> None:
+        if answer is not None:
+            self._take(key, answer)
 
     # --- what is said ------------------------------------------------------------------------------------------------
 
@@ -258,7 +247,7 @@ class GuardNode(CalibrationNode):
         changed = before is None or (before.permitted, before.reasons, before.latched) != (
             decision.permitted, decision.reasons, decision.latched,
         )  # fmt: skip
-        if changed or now - self._state_sent >= 1.0 / self.value("state_rate"):
+        if changed or now - self._state_sent >= STATE_PERIOD:
             self._state_sent = now
             steady_to_ros = stamp - round(now * NANOSECONDS)
             self._state.publish(to_robot_state(self._report, stamp, steady_to_ros=steady_to_ros))

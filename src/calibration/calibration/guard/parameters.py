@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, Protocol
 
-from calibration.guard.messages import mode_names
+from calibration.conversions import mode_names
 from calibration.motion.arrival import ArrivalRules
-from calibration.motion.catalogue import MOTION_INTERFACE
-from calibration.node import Declared
+from calibration.motion.backends import MOTION_INTERFACE
+from calibration.node import CalibrationNode, Declared
 from calibration.robot_state import NAMES
 from calibration.robot_state.adapter import LONGEST_AGE, Adapter, load_adapter
 from calibration_core.cell import Cell
@@ -23,16 +22,9 @@ MODES = tuple(mode.name for mode in OperatingMode if mode is not OperatingMode.U
 PARAMETERS = (
     Declared("cell", "", "The cell file.", required=True),
     Declared("rate", 50.0, "Hz, of the permission.", low=20.0, high=500.0),
-    Declared("state_rate", 2.0, "Hz, of the robot state between changes.", low=0.1, high=50.0),
     Declared("allowed_modes", ["MANUAL_REDUCED"], f"Operating modes in which motion is permitted: {', '.join(MODES)}."),
     Declared("speed_limit", RULES.speed_limit, "m/s, of every monitored point.", low=0.01, high=0.25),
-    Declared(
-        "joint_error",
-        RULES.joint_error,
-        "rad or m, of the difference of two joint states: step or noise.",
-        low=0.0,
-        high=1e-3,
-    ),
+    Declared("joint_error", RULES.joint_error, "rad or m, of the difference of two joint states.", low=0.0, high=1e-3),
     Declared("time_error", RULES.time_error, "s, likewise of their stamps.", low=0.0, high=0.01),
     Declared(
         "tracking_error",
@@ -49,8 +41,6 @@ PARAMETERS = (
         low=0.02,
         high=5.0,
     ),
-    Declared("jump_rate", RULES.jump_rate, "rad/s, no joint is faster.", low=1.0, high=100.0),
-    Declared("scaling_zero_time", RULES.scaling_zero_time, "s, speed scaling may be zero.", low=0.0, high=10.0),
     Declared("max_pause", RULES.max_pause, "s, between two decisions, and between stamps of joint states.", low=0.1),
     *MOTION_INTERFACE,
     Declared("sequencer_age", 0.1, "s, of the sequencer's sign of life while it moves the robot.", low=0.05, high=5.0),
@@ -65,14 +55,7 @@ PARAMETERS = (
 )
 
 
-class Values(Protocol):
-    """Whatever has parameters."""
-
-    def value(self, name: str) -> Any:
-        """Return a parameter's value."""
-
-
-def guard_rules(node: Values, cell: Cell, adapter: Adapter) -> GuardRules:
+def guard_rules(node: CalibrationNode, cell: Cell, adapter: Adapter) -> GuardRules:
     """Return the limits, with what the driver makes of them.
 
     Raises:
@@ -93,7 +76,7 @@ def guard_rules(node: Values, cell: Cell, adapter: Adapter) -> GuardRules:
     return GuardRules(allowed_modes=modes, declared_limit=declared, remote=adapter.remote, notes=notes, **given)
 
 
-def configured_adapter(node: Values) -> Adapter:
+def configured_adapter(node: CalibrationNode) -> Adapter:
     """Return the adapter with the topics and ages that are given.
 
     Raises:
@@ -109,7 +92,7 @@ def configured_adapter(node: Values) -> Adapter:
     return adapter.model_copy(update={"sources": sources}).loaded()
 
 
-def _by_key(node: Values, adapter: Adapter, name: str) -> dict[str, str]:
+def _by_key(node: CalibrationNode, adapter: Adapter, name: str) -> dict[str, str]:
     known = adapter.sources
     found = {}
     for entry in node.value(name):

@@ -13,11 +13,12 @@ from calibration_interfaces.msg import Outcome
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 
+from calibration.asks import wait_until
 from calibration.conversions import Mean, Sample, joint_positions, stamp_ns, to_average, to_header, to_outcome
 from calibration.instruments.stream import Source, Stream
 from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.node import CalibrationNode, Declared
-from calibration.rclpy_gaps import Background, wait_until
+from calibration.rclpy_gaps import Background
 from calibration.topics import SAMPLE_CHECK, Quality, Topic, subscribe_to_samples, subscription_profile
 from calibration_core.cell import Cell, load_cell
 from calibration_core.observations.samples import Limits, Problem
@@ -37,7 +38,6 @@ COMMON = (
     Declared("frame", "", "frame_id that samples must carry; empty: any."),
     Declared("output_frame", "", "frame_id of what is published; empty: as it came."),
     Declared("stamp", "source", "Time of a sample.", choices=("source", "receive")),
-    Declared("interval", 0.0, "Usual interval between samples, s; 0: learnt.", low=0.0),
     Declared("gap", 1.5, "Intervals from which samples count as missing.", low=1.01),
     Declared("frozen", 20, "Identical samples in a row from which the stream counts as frozen; 0: never.", low=0),
     Declared("silent_after", 0.5, "Wall time without a sample after which the stream counts as silent, s.", low=0.01),
@@ -118,7 +118,7 @@ class AcquisitionNode(CalibrationNode):
     def limits(self, largest: tuple[float, ...], fastest: tuple[float, ...]) -> Limits:
         """Return the limits of a stream from the parameters that all instruments share."""
         frozen = 0 if self.value("frozen") < 2 else self.value("frozen")
-        return Limits(self.value("frame"), largest, fastest, frozen, self.value("interval"), self.value("gap"))
+        return Limits(self.value("frame"), largest, fastest, frozen, gap=self.value("gap"))
 
     def add_stream(self, stream: Stream) -> Stream:
         """Take on a stream."""

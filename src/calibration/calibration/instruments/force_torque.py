@@ -46,6 +46,7 @@ from calibration_core.timeseries import NANOSECONDS, Float1D
 
 WRENCH = "wrench"
 JOINTS_WAIT = 2.0  # s of wall time, joint states of a window may come after its last sample
+MASS_SHARE, AXES, UNEXPLAINED = 0.05, 0.05, 5.0  # share, rad, N: by which a tested sensor may be off
 PRESENT = 0.5  # s by the samples' stamps, over which the present wrench is averaged
 PRESENT_PERIOD = 0.02  # s of wall time between two of them
 PRESENT_SAMPLES = 1000  # at most
@@ -59,14 +60,9 @@ PARAMETERS = (
     Declared("sign", "applied_on_robot", "Whose wrench the sensor reads.", choices=tuple(SIGNS)),
     Declared("largest_force", 50000.0, "Force beyond which a sample is implausible, N.", low=0.001),
     Declared("largest_torque", 20000.0, "Torque beyond which a sample is implausible, N*m.", low=0.001),
-    Declared("fastest_force", 0.0, "Change of force that counts as a jump, N/s; 0: not checked.", low=0.0),
-    Declared("fastest_torque", 0.0, "Change of torque that counts as a jump, N*m/s; 0: not checked.", low=0.0),
     Declared("tolerance_force", 5.0, "Change over a window that does not matter, N.", low=0.0, read_only=False),
     Declared("tolerance_torque", 2.5, "Change over a window that does not matter, N*m.", low=0.0, read_only=False),
     Declared("load_memory", "", "File in which the sequencer keeps what is known of the load; empty: in $ROS_HOME."),
-    Declared("test_mass_share", 0.05, "Share by which the tested mass may be off.", low=0.0, high=1.0),
-    Declared("test_angle", 0.05, "Angle by which the tested axes may be off, rad.", low=0.0, high=3.2),
-    Declared("test_force", 5.0, "Force that the test may leave unexplained, N.", low=0.0),
 )
 
 
@@ -87,10 +83,7 @@ class ForceTorqueNode(AcquisitionNode):
         self._number, self._tares = 0, 0
         self._busy = False
         self._orientations: list[tuple[Float1D, Float1D]] = []
-        limits = self.limits(
-            (self.value("largest_force"), self.value("largest_torque")),
-            (self.value("fastest_force"), self.value("fastest_torque")),
-        )
+        limits = self.limits((self.value("largest_force"), self.value("largest_torque")), (0.0, 0.0))
         topic = self.value("topic")
         output = Topic(self.cell.topics.wrench, StreamKind.WRENCH.value, Quality.SAMPLES)
         alone = tuple({topic, output.relative})
@@ -258,12 +251,7 @@ class ForceTorqueNode(AcquisitionNode):
         except InputError as error:
             response.outcome = to_outcome(Outcome.NOT_IDENTIFIABLE, str(error))
             return
-        faults = found.faults(
-            request.mass,
-            mass_share=self.value("test_mass_share"),
-            angle=self.value("test_angle"),
-            force=self.value("test_force"),
-        )
+        faults = found.faults(request.mass, mass_share=MASS_SHARE, angle=AXES, force=UNEXPLAINED)
         response.sign, response.mass = float(found.sign), found.mass
         response.bias, response.centre_of_mass = found.bias, found.centre_of_mass
         response.residual_force, response.residual_torque = found.residual_force, found.residual_torque

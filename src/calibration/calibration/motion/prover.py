@@ -12,8 +12,8 @@ from calibration_interfaces.msg import Outcome
 from calibration_interfaces.srv import ProveStop
 from rclpy.node import Node
 
-from calibration.motion.base import Backend, Course, End
-from calibration.rclpy_gaps import in_executor
+from calibration.asks import Server
+from calibration.motion.backends import Backend, Course, End
 from calibration_core.motion.stop_proof import ProofRules
 from calibration_core.motion.trajectory import Trajectory
 from calibration_core.timeseries import NANOSECONDS, Float1D
@@ -38,7 +38,7 @@ class Prover:
     def __init__(self, node: Node, backend: Backend, joints: tuple[str, ...], course: Course) -> None:
         """Take who moves the robot, the joints in the order of q, and what tells where the robot is."""
         self._node, self._backend, self._joints, self._course = node, backend, joints, course
-        self._client = node.create_client(ProveStop, SERVICE) if backend.commands else None
+        self._guard = Server(node, ProveStop, SERVICE) if backend.commands else None
         self.proven, self.running, self.fault = not backend.commands, False, ""
         self._tries = 0
         self._begun = self._ended = -math.inf  # s of the steady clock
@@ -78,7 +78,7 @@ class Prover:
     def begin(self, now: float) -> None:
         """Send the robot where it stands, at `now`, s of the steady clock."""
         course = self._course()
-        if course is None or self._client is None:
+        if course is None or self._guard is None:
             return
         self.running, self.fault, self._begun, self._asked, self._answer = True, "", now, False, None
         self._number, self._over = self._number + 1, False
@@ -92,9 +92,10 @@ class Prover:
             return
         self._look_at_clock(now)
         goal = self._backend.goal
-        if goal is not None and not self._asked:
+        if goal is not None and not self._asked and self._guard is not None:
             self._asked = True
-            self._ask(goal)
+            self._guard.drop()
+            self._guard.ask(ProveStop.Request(goal=np.frombuffer(goal, dtype=np.uint8)), self._on_answer)
         with self._lock:
             answer = self._answer
         if answer is None and now - self._begun > PATIENCE:
@@ -102,20 +103,10 @@ class Prover:
         if answer is not None:
             self._end(*answer)
 
-    def _ask(self, goal: bytes) -> None:
-        client = self._client
-
-        def send() -> None:
-            request = ProveStop.Request(goal=np.frombuffer(goal, dtype=np.uint8))
-            client.call_async(request).add_done_callback(self._on_answer)  # type: ignore[union-attr]
-
-        in_executor(self._node, send)
-
-    def _on_answer(self, future: Any) -> None:
-        outcome = None if future.exception() is not None else future.result().outcome
-        success = outcome is not None and outcome.code == Outcome.OK
+    def _on_answer(self, answer: Any, text: str) -> None:
+        success = answer is not None and answer.outcome.code == Outcome.OK
         with self._lock:
-            self._answer = (success, str(future.exception() if outcome is None else outcome.text))
+            self._answer = (success, text if answer is None else str(answer.outcome.text))
 
     def _on_end(self, number: int, how: End, text: str) -> None:
         """The goal of a proof is over: rejected at once, or cancelled by the guard, as it should be."""

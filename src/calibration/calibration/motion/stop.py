@@ -25,9 +25,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_action_status_default
 from trajectory_msgs.msg import JointTrajectory
 
-from calibration.motion import follow_joint_trajectory, joint_trajectory_topic, simulated
-from calibration.motion.base import Backend, Course
-from calibration.motion.messages import hold
+from calibration.asks import Server
+from calibration.motion.backends import USUAL, Backend, Course, hold
 from calibration.rclpy_gaps import hidden
 from calibration_core.errors import InputError, quoted
 from calibration_core.motion.stop_proof import RequestedStop
@@ -52,7 +51,7 @@ class Stopper:
         course: Course,
         *,
         hold_topic: str = "",
-        calls: Sequence[tuple[Any, Any]] = (),
+        calls: Sequence[tuple[Server, Any]] = (),
         trace: str = "",
     ) -> None:
         """Prepare.
@@ -63,7 +62,7 @@ class Stopper:
             joints: Names, in the order of q.
             course: Tells where the robot is, and how it moves.
             hold_topic: Takes a hold trajectory, the second stage; empty: there is none.
-            calls: Clients and requests of the maker's stop services, the third stage.
+            calls: Servers and requests of the maker's stop services, the third stage.
             trace: File for the monotonic clock's ns of every stage taken; empty: none.
         """
         self._node, self._backend, self._joints, self._course, self._calls = node, backend, joints, course, calls
@@ -101,8 +100,8 @@ class Stopper:
             self._hold.publish(hold(self._joints, *course))
             self._note("hold")
         elif stage == 2:
-            for client, request in self._calls:
-                client.call_async(request)
+            for server, request in self._calls:
+                server.ask(request, lambda *_: None)
                 self._note("maker's stop")
         elif stage == 3:
             self._node.diagnostics.report("operator", 2, DESPERATE)
@@ -145,9 +144,8 @@ class CancelGoals:
     def __init__(self, node: Node, action: str, ended: Ended) -> None:
         """Take the action's name, and who is told of goals that are over."""
         self.text = f"every goal of {action} is cancelled"
-        self._client = node.create_client(CancelGoal, hidden(action, "cancel_goal"))
+        self._server = Server(node, CancelGoal, hidden(action, "cancel_goal"))
         self._ended = ended
-        self._pending: Any = None
         self._since = math.inf  # of the oldest stop that is not acknowledged
         node.create_subscription(
             GoalStatusArray, hidden(action, "status"), self._on_status, qos_profile_action_status_default
@@ -156,10 +154,8 @@ class CancelGoals:
     def command(self, now: float) -> None:
         """Cancel; without a goal's name and a time it means all goals.  One answer is awaited, that to the last."""
         self._since = now if self.unanswered(now) else min(self._since, now)
-        if self._pending is not None:
-            self._client.remove_pending_request(self._pending)
-        self._pending = self._client.call_async(CancelGoal.Request())
-        self._pending.add_done_callback(self._on_answer)
+        self._server.drop()
+        self._server.ask(CancelGoal.Request(), self._on_answer)
 
     @property
     def waiting(self) -> bool:
@@ -170,8 +166,8 @@ class CancelGoals:
         """Tell whether the driver has not acknowledged in time."""
         return now - self._since > ANSWER
 
-    def _on_answer(self, future: Any) -> None:
-        if future.exception() is None:
+    def _on_answer(self, answer: Any, _text: str) -> None:
+        if answer is not None:
             self._since = math.inf
 
     def _on_status(self, message: Any) -> None:
@@ -226,13 +222,12 @@ def make_stop_path(
     Raises:
         InputError: There is no such back end.
     """
+    at = interface or USUAL.get(name, "")
     match name:
-        case "follow_joint_trajectory":
-            return CancelGoals(node, interface or follow_joint_trajectory.DEFAULT, ended)
-        case "simulated":
-            return CancelGoals(node, interface or simulated.DEFAULT, ended)
+        case "follow_joint_trajectory" | "simulated":
+            return CancelGoals(node, at, ended)
         case "joint_trajectory_topic":
-            return HoldPosition(node, interface or joint_trajectory_topic.DEFAULT, joints, course)
+            return HoldPosition(node, at, joints, course)
         case "external":
             return Pendant()
     raise InputError("parameters", "motion.backend", quoted(name), "one of the back ends")

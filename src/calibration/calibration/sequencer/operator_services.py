@@ -11,9 +11,10 @@ from calibration_interfaces.srv import LoadApplied, OverrideCondition, ResumeMot
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import Trigger
 
+from calibration.asks import wait_until
 from calibration.cell.conditions_watch import refused
 from calibration.conversions import to_outcome
-from calibration.rclpy_gaps import Background, wait_until
+from calibration.rclpy_gaps import Background
 from calibration.sequencer.goal import Answer, Request
 from calibration.sequencer.parameters import DEVICE
 from calibration.sequencer.runner import Call

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from calibration.cell.clients import Measured
-from calibration.cell.interface import Cell
-from calibration.cell.permission import PermissionWatch
-from calibration.cell.readings import ReadingError
+from calibration.cell.port import CellPort
+from calibration.cell.reading_checks import ReadingError
+from calibration.cell.watches import PermissionWatch
 from calibration.motion.arrival import Joints
-from calibration.motion.base import Backend, End
+from calibration.motion.backends import Backend, End
 from calibration.motion.prover import Prover
 from calibration.motion.stop import Stopper
 from calibration.sequencer.goal import Goal, Stage
@@ -122,7 +122,7 @@ class Runner:
         self,
         goal: Goal,
         sequence: Sequence,
-        cell: Cell,
+        cell: CellPort,
         backend: Backend,
         joints: Joints,
         watch: PermissionWatch,

@@ -24,29 +24,26 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from calibration.asks import callers, succeeded
 from calibration.cell.clients import Instruments, LoadDevice
 from calibration.cell.conditions_watch import HEARD, ConditionsWatch
-from calibration.cell.description_watch import DescriptionWatch
-from calibration.cell.equipment import Equipment
-from calibration.cell.permission import PermissionWatch
+from calibration.cell.equipment import Equipment, Recorder, Wanted
 from calibration.cell.port import CellPort
 from calibration.cell.reading_checks import ReadingChecks
-from calibration.cell.recorder_client import Recorder, Wanted
-from calibration.cell.wrench_watch import WrenchWatch
+from calibration.cell.watches import DescriptionWatch, PermissionWatch, WrenchWatch
 from calibration.conversions import JointReader, stamp_ns, to_outcome
+from calibration.evaluation.markers import to_markers
 from calibration.guard.guard import PULSE_DEADLINE
 from calibration.motion.arrival import Joints
-from calibration.motion.calls import callers, succeeded
-from calibration.motion.catalogue import make_backend
+from calibration.motion.backends import make_backend
 from calibration.motion.prover import Prover
 from calibration.motion.stop import Stopper
 from calibration.node import CalibrationNode, run
-from calibration.rclpy_gaps import Waiting, called
+from calibration.rclpy_gaps import Waiting
 from calibration.sequencer.feedback import Feedback
 from calibration.sequencer.goal import ClientWatch, Goal, Request, RunAction, Stage
 from calibration.sequencer.operator_services import OperatorServices
-from calibration.sequencer.parameters import DEVICE, LOOK, PARAMETERS, arrival_rules, motion_limits, sequence_rules
-from calibration.sequencer.plan_markers import plan_markers
+from calibration.sequencer.parameters import DEVICE, PARAMETERS, arrival_rules, motion_limits, sequence_rules
 from calibration.sequencer.provenance import provenance
 from calibration.sequencer.runner import Call, Runner
 from calibration.topics import (
@@ -66,12 +63,15 @@ from calibration_core.measurement.unloaded import LoadMemory, memory_file
 from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.robot import chain_of
 from calibration_core.motion.speed import Monitored
+from calibration_core.outcomes.spaces import planned_space
 from calibration_core.planning.plans.plan import Plan
 from calibration_core.planning.plans.plan_file import read_plan
 from calibration_core.recording.session_values import Decision, Event
+from calibration_core.report.results.scene import scene_of, space_dict
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
-PULSE = 50.0  # Hz of wall time, of the sign of life while a motion of ours is under way
+PULSE = 0.02  # s of wall time between two signs of life
+ALONE_PULSE = 0.022  # s, likewise, while the guard is silent: with its word, one wake of the executor does for both
 BAG = "bag"  # in the session's directory
 END_TIME = 1.6  # s of wall time, a run has to end when the process does
 ALONE = 1.0  # s, since another sequencer was heard
@@ -112,7 +112,7 @@ class SequencerNode(CalibrationNode):
         self.monitored = Monitored.of(chain_of(self.cell), nominal_parameters(self.cell), tool_point(self.cell))
         self.runner: Runner | None = None
         self.port: CellPort | None = None
-        self._counted = itertools.count()  # signs of life
+        self._counted, self._beaten = itertools.count(), -math.inf  # signs of life; the last, s of the steady clock
         self._decided: tuple[Any, ...] = ()
         self._lost = ""  # of recorder and instruments, when a motion was looked at last
         self._backend = make_backend(
@@ -120,7 +120,7 @@ class SequencerNode(CalibrationNode):
             self,
             self.cell.robot.joints,
             interface=self.value("motion.interface"),
-            rules=arrival_rules(self),
+            tolerance=arrival_rules(self).tolerance,
             course=self._course,
             ask=lambda text: self.diagnostics.report("operator", 1, text),
         )
@@ -171,7 +171,7 @@ class SequencerNode(CalibrationNode):
         pulse.deadline = Duration(nanoseconds=round(PULSE_DEADLINE * NANOSECONDS))
         silence = SubscriptionEventCallbacks(deadline=lambda _: self._on_silence())
         self.create_subscription(Permission, PERMISSION.relative, self._on_permission, pulse, event_callbacks=silence)
-        self.create_timer(1.0 / PULSE, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = self.create_timer(ALONE_PULSE, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._description.listen()
         quality = QoSProfile(depth=100)  # what was said before belongs to no run of ours
         self.create_subscription(SessionEvent, EVENT.relative, self._on_event, quality)
@@ -199,6 +199,7 @@ class SequencerNode(CalibrationNode):
         if decided != self._decided:
             self._decided = decided
             self._store(message)
+        self._beat()
 
     def _on_silence(self) -> None:
         permitted, text = self.watch.at(time.monotonic())
@@ -241,11 +242,20 @@ class SequencerNode(CalibrationNode):
             runner.post(Call(lambda: port.keep(lambda: port.session.note(event))))
 
     def _on_timer(self) -> None:
-        self._take_streams()
         self._on_silence()  # its event may come but once, and the runner may be waiting for a disk
+        self._beat()
+
+    def _beat(self) -> None:
+        """Take what has come, and give a sign of life, where one is due."""
+        now = time.monotonic()
+        if now - self._beaten < 0.9 * PULSE:
+            return
+        self._beaten = now
+        self._timer.reset()
+        self._take_streams()
         runner = self.runner
         moving = runner is not None and runner.moving
-        lost = self._equipment.fault(time.monotonic()) if moving else ""
+        lost = self._equipment.fault(now) if moving else ""
         if runner is not None and lost and not self._lost and self._interrupt():
             runner.post(Call(lambda: runner.lose(lost)))
         self._lost = lost
@@ -279,14 +289,14 @@ class SequencerNode(CalibrationNode):
             goal.end()
             self._instruments.cancel()
             if self._load_device is not None:
-                self._load_device.port.cancel()
+                self._load_device.server.drop()
             self._recorder.close()
 
     def _run(self, goal: Goal) -> Any:
         request = goal.handle.request
         self._rules, self._limits = sequence_rules(self), motion_limits(self, self.cell)  # as they are set now
         plan = read_plan(request.plan, self.cell)
-        self._markers.publish(plan_markers(plan, self.cell, *(self.value(f"markers.{name}") for name in LOOK)))
+        self._markers.publish(to_markers(self.cell, scene_of(space_dict(planned_space(plan, self.cell)), scale=1.0)))
         directory = Path(request.session)
         text = Path(request.plan).read_text(encoding="utf-8")
         goal.enter(Stage.NODES)
@@ -383,11 +393,11 @@ class SequencerNode(CalibrationNode):
         """Look for everything that a run needs, before anything moves; return all that is not there."""
         wait = self.value("server_wait")
         end = time.monotonic() + wait
-        ports = [*self._instruments.ports.values(), *([self._load_device.port] if self._load_device else [])]
+        servers = [*self._instruments.servers.values(), *([self._load_device.server] if self._load_device else [])]
         topic = self.cell.topics.joint_states
         checks: list[Callable[[], str]] = [
             self._backend.missing,
-            *(port.missing for port in ports),
+            *(server.missing for server in servers),
             lambda: "" if self._joints.latest is not None else f"no joint states on {topic}",
         ]
         absent = [self._prepared(goal, wait)]
@@ -398,11 +408,11 @@ class SequencerNode(CalibrationNode):
 
     def _prepared(self, goal: Goal, wait: float) -> str:
         """Call the driver's services in their order, up to the first that fails; return why it did."""
-        for client, request in self._prepare:
-            answer = called(client, request, wait, goal.until)
+        for server, request in self._prepare:
+            answer = server.call(request, wait, goal.until)
             success, text = (False, "no answer") if answer is None else succeeded(answer)
             if not success:
-                return f"{client.srv_name}: {text or 'refused'}"
+                return f"{server.name}: {text or 'refused'}"
         return ""
 
     def _progress(self) -> None:

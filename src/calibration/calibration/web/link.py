@@ -23,10 +23,10 @@ from calibration_interfaces.srv import (
     SelfTest,
     Tare,
 )
-from rclpy.action import ActionClient
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
+from calibration.asks import Ask, Server
 from calibration.rclpy_gaps import Waiting, hidden, in_executor
 from calibration.topics import EVENT
 from calibration.web.hub import in_loop
@@ -84,27 +84,28 @@ class CellLink:
     def __init__(self, node: Any) -> None:
         """Make the clients of the services; those of actions are there only while one is under way."""
         self._node = node
-        self._clients = {key: node.create_client(kind, name) for key, (kind, name, _) in SERVICES.items()}
+        self._servers = {key: Server(node, kind, name) for key, (kind, name, _) in SERVICES.items()}
         reliable = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
         self._event = Latest(node, EVENT.message, EVENT.relative, reliable)
         self._run: asyncio.Task[None] | None = None  # held: a task that nobody holds may be collected
         self._beginning = False
-        self._evaluation: Any = None
-        self._evaluating = self._given_up = False
+        self._evaluation: Ask | None = None
 
     async def ask(self, request: str, **fields: Any) -> Answer:
         """Ask a service; return how it ended, also if nobody answers."""
         kind, name, seconds = SERVICES[request]
-        client = self._clients[request]
-        if not client.service_is_ready():
+        server = self._servers[request]
+        if not server.ready():
             return Answer(done=False, text=f"{name} is not there")
-        future = client.call_async(kind.Request(**fields))
+        done = asyncio.get_running_loop().create_future()
+        one = server.ask(kind.Request(**fields), lambda message, _text: settle(done, message))
         try:
-            message = await asyncio.wait_for(awaited(future), seconds)
+            message = await asyncio.wait_for(done, seconds)
         except TimeoutError:
-            client.remove_pending_request(future)
-            return Answer(done=False, text=f"{name} does not answer")
-        return judged(message)
+            message = None
+        finally:
+            one.drop("")
+        return Answer(done=False, text=f"{name} does not answer") if message is None else judged(message)
 
     async def begin_run(self, fields: dict[str, Any], ended: Callable[[str], None]) -> Answer:
         """Have a plan measured; return whether the goal was accepted.
@@ -124,15 +125,15 @@ class CellLink:
             self._beginning = False
 
     async def _begin_run(self, fields: dict[str, Any], ended: Callable[[str], None]) -> Answer:
-        client = await self._client(RunPlan, "sequencer/run")
-        if client is None:
+        server = await self._server(RunPlan, "sequencer/run")
+        if server is None:
             return Answer(done=False, text="sequencer/run is not there")
         self._event.last()  # what was said before the goal
-        handle = await self._goal(client, RunPlan.Goal(**fields))
-        if handle is None:
-            await self._spun(client.destroy)
+        one, done = self._send(server, RunPlan.Goal(**fields))
+        if not await self._accepted(server, one):
+            await self._spun(server.destroy)
             return Answer(done=False, text=await self._rejection())
-        self._run = asyncio.get_running_loop().create_task(self._until(client, handle, ended))
+        self._run = asyncio.get_running_loop().create_task(self._until(server, done, ended))
         return Answer(done=True)
 
     async def _rejection(self) -> str:
@@ -150,10 +151,10 @@ class CellLink:
         if self._run is not None:
             self._run.cancel()
 
-    async def _until(self, client: Any, handle: Any, ended: Callable[[str], None]) -> None:
-        answer = await awaited(await self._spun(handle.get_result_async))
-        await self._spun(client.destroy)
-        ended(str(answer.result.outcome.text))
+    async def _until(self, server: Server, done: asyncio.Future[Any], ended: Callable[[str], None]) -> None:
+        answer = await done
+        await self._spun(server.destroy)
+        ended(f"{server.name} does not answer" if answer is None else str(answer.result.outcome.text))
 
     async def evaluate(self, what: str, recording: str, progress: Callable[[float, str], None]) -> Answer:
         """Have a recording identified or diagnosed; return how it ended.
@@ -163,47 +164,54 @@ class CellLink:
             recording: What is evaluated.
             progress: Called in the executor's thread with the share that is done and what is being done.
         """
-        client = await self._client(Identify, "identification/identify")
-        if client is None:
+        server = await self._server(Identify, "identification/identify")
+        if server is None:
             return Answer(done=False, text="identification/identify is not there")
-        self._evaluating, self._given_up = True, False
         kind = {"stiffness": Identify.Goal.STIFFNESS, "diagnosis": Identify.Goal.DIAGNOSIS}[what]
+        goal = Identify.Goal(what=kind, recording=recording)
+        one, done = self._send(server, goal, lambda of: progress(float(of.feedback.share_done), str(of.feedback.text)))
+        self._evaluation = one
         try:
-            handle = await self._goal(
-                client,
-                Identify.Goal(what=kind, recording=recording),
-                lambda one: progress(float(one.feedback.share_done), str(one.feedback.text)),
-            )
-            if handle is None:
+            if not await self._accepted(server, one):
                 return Answer(done=False, text="the identification takes no request now")
-            self._evaluation = handle
-            if self._given_up:
-                self.cancel_evaluation()
-            return judged((await awaited(await self._spun(handle.get_result_async))).result)
+            answer = await done
+            return judged(answer.result) if answer else Answer(done=False, text=f"{server.name} does not answer")
         finally:
-            self._evaluation, self._evaluating = None, False
-            await self._spun(client.destroy)
+            self._evaluation = None
+            await self._spun(server.destroy)
 
     def cancel_evaluation(self) -> Answer:
         """Cancel the evaluation that is under way, also where it is not accepted yet."""
-        if not self._evaluating:
+        if self._evaluation is None:
             return Answer(done=False, text="nothing is being evaluated")
-        self._given_up = True
-        if self._evaluation is not None:
-            in_executor(self._node, self._evaluation.cancel_goal_async)
+        self._evaluation.cancel()
         return Answer(done=True)
 
-    async def _client(self, kind: Any, name: str) -> Any:
-        """Return a client whose server is there; None: there is none."""
-        client = await self._spun(lambda: ActionClient(self._node, kind, name))
+    async def _server(self, kind: Any, name: str) -> Server | None:
+        """Return a server that is there; None: there is none."""
+        server: Server = await self._spun(lambda: Server(self._node, kind, name))
         service = self._node.resolve_service_name(hidden(name, "send_goal"))
         began = time.monotonic()
-        while not client.server_is_ready():
+        while not server.ready():
             if time.monotonic() - began > (FOUND if self._node.count_services(service) else ABSENT):
-                await self._spun(client.destroy)
+                await self._spun(server.destroy)
                 return None
             await asyncio.sleep(LOOK)
-        return client
+        return server
+
+    def _send(
+        self, server: Server, goal: Any, feedback: Callable[[Any], None] | None = None
+    ) -> tuple[Ask, asyncio.Future[Any]]:
+        """Send a goal; return it, and what gets the answer, None where there is none."""
+        done = asyncio.get_running_loop().create_future()
+        return server.ask(goal, lambda answer, _: settle(done, answer), accept=ACCEPT, feedback=feedback), done
+
+    async def _accepted(self, server: Server, one: Ask) -> bool:
+        """Wait until a goal is accepted or not."""
+        while not one.accepted and not one.over:
+            server.tick(time.monotonic())
+            await asyncio.sleep(LOOK)
+        return one.accepted
 
     async def _spun(self, work: Callable[[], Any]) -> Any:
         """Do something short in the executor's thread, which must not be waiting for what is taken down meanwhile.
@@ -214,28 +222,24 @@ class CellLink:
         loop = asyncio.get_running_loop()
         done = loop.create_future()
 
-        def settle(end: Callable[[Any], None], value: Any) -> None:
-            in_loop(loop, lambda: None if done.done() else end(value))
-
         def do() -> None:
+            found: tuple[Any, Exception | None]
             try:
-                found = work()
+                found = (work(), None)
             except Exception as error:  # noqa: BLE001  # handed over to the one who awaits
-                settle(done.set_exception, error)
-            else:
-                settle(done.set_result, found)
+                found = (None, error)
+            settle(done, found)
 
         in_executor(self._node, do)
-        return await done
+        found, error = await done
+        if error is not None:
+            raise error
+        return found
 
-    async def _goal(self, client: Any, goal: Any, feedback: Callable[[Any], None] | None = None) -> Any:
-        """Send a goal; return its handle, None if it is not accepted."""
-        sent = await self._spun(lambda: client.send_goal_async(goal, feedback_callback=feedback))
-        try:
-            handle = await asyncio.wait_for(awaited(sent), ACCEPT)
-        except TimeoutError:
-            return None
-        return handle if handle.accepted else None
+
+def settle(done: asyncio.Future[Any], value: Any) -> None:
+    """Set a future's result from another thread; nothing where nobody awaits it any more."""
+    in_loop(done.get_loop(), lambda: None if done.done() else done.set_result(value))
 
 
 def judged(message: Any) -> Answer:
@@ -243,18 +247,3 @@ def judged(message: Any) -> Answer:
     if hasattr(message, "outcome"):
         return Answer(message.outcome.code == Outcome.OK, str(message.outcome.text), message)
     return Answer(bool(message.success), str(message.message), message)
-
-
-async def awaited(future: Any) -> Any:
-    """Await a future of ROS."""
-    loop = asyncio.get_running_loop()
-    done = loop.create_future()
-
-    def set_it(_future: Any) -> None:
-        in_loop(loop, lambda: None if done.done() else done.set_result(None))
-
-    future.add_done_callback(set_it)
-    if future.done():
-        set_it(future)
-    await done
-    return future.result()

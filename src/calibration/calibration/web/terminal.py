@@ -23,8 +23,7 @@ from textual.app import App, ComposeResult
 from textual.widgets import Footer, Static
 
 from calibration.conversions import to_header
-from calibration.health import FRESH
-from calibration.node import spin
+from calibration.node import FRESH, spin
 from calibration.rclpy_gaps import in_executor
 from calibration.topics import EVENT, STATE
 from calibration.web.link import CellLink, Latest

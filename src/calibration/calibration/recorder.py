@@ -13,8 +13,11 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import functools
 import math
+import os
 import queue
+import re
 import struct
 import sys
 import threading
@@ -33,7 +36,6 @@ from std_srvs.srv import Trigger
 from calibration.conversions import stamp_ns, to_header, to_outcome
 from calibration.node import CalibrationNode, Declared, run
 from calibration.rclpy_gaps import Background, in_executor, waiting
-from calibration.recorder.definitions import definition
 from calibration.topics import (
     READING,
     RECORDING,
@@ -51,17 +53,70 @@ from calibration_core.errors import OutputError
 from calibration_core.recording.bags.live_writer import LiveBag, LiveTopic
 from calibration_core.timeseries import NANOSECONDS
 
+SEPARATOR = "=" * 80
+BUILT_IN = {
+    "bool", "byte", "char", "float32", "float64", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64",
+    "uint64", "string", "wstring",
+}  # fmt: skip
+_FIELD = re.compile(r"^\s*([a-zA-Z][\w/]*)(<=\d+)?(\[[^\]]*\])?\s+[a-zA-Z]\w*")
+
+
+def definition(kind: str) -> str:
+    """Return the definition of `package/msg/Name`; empty if it, or one of the types in it, is not installed as text."""
+    own = _text(kind)
+    if own is None:
+        return ""
+    parts, done, todo = [own], {kind}, _used(kind, own)
+    while todo:
+        name = todo.pop(0)
+        if name in done:
+            continue
+        done.add(name)
+        text = _text(name)
+        if text is None:
+            return ""
+        package, _, base = name.split("/")
+        parts.append(f"{SEPARATOR}\nMSG: {package}/{base}\n{text}")
+        todo += _used(name, text)
+    return "\n".join(part.rstrip("\n") for part in parts) + "\n"
+
+
+def _used(kind: str, text: str) -> list[str]:
+    """Return the full names of the message types in a definition, in their order."""
+    package = kind.split("/", maxsplit=1)[0]
+    found = []
+    for line in text.splitlines():
+        match = _FIELD.match(line.split("#", 1)[0])
+        name = match[1] if match else ""
+        if not name or name in BUILT_IN:
+            continue
+        parts = name.split("/")
+        found.append(f"{parts[0]}/msg/{parts[-1]}" if len(parts) > 1 else f"{package}/msg/{name}")
+    return found
+
+
+@functools.cache
+def _text(kind: str) -> str | None:
+    package, group, name = kind.split("/")
+    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
+    for prefix in prefixes:
+        file = Path(prefix) / "share" / package / group / f"{name}.msg"
+        if file.is_file():
+            return file.read_text("utf-8")
+    return None
+
+
 LOOK = 0.05  # s of wall time between looks for new publishers
 THOROUGH = 1.0  # s of wall time between looks at what all publishers offer
 DRAIN = 2.0  # s of wall time, the executor may take until what has arrived is taken, when the node ends
 SIGN = 0.05  # s of wall time between two signs of life
+SYNC_PERIOD = 0.25  # s of wall time after which what came is on the disk
 AGAIN = 2.0  # s of wall time, after which a bag that could not be written is tried again
 STAMP = {True: struct.Struct("<iI"), False: struct.Struct(">iI")}  # little-endian or not: s and ns of a header in CDR
 
 PARAMETERS = (
     Declared("cell", "", "The cell file.", required=True),
     Declared("out", "", "Directory of a bag from the start on; empty: nothing is recorded before a session asks."),
-    Declared("sync_period", 0.25, "Wall time after which what came is on the disk, s.", low=0.01, high=1.0),
     Declared("compression", "none", "Of the chunks.", choices=("none", "lz4", "zstd")),
 )
 
@@ -188,7 +243,7 @@ class RecorderNode(CalibrationNode):
         tried = time.monotonic()
         while not self._ending.is_set():
             with contextlib.suppress(queue.Empty):
-                self._asked.get(timeout=self.value("sync_period"))()
+                self._asked.get(timeout=SYNC_PERIOD)()
             self._write()
             if self._lost and time.monotonic() - tried > AGAIN:
                 tried = time.monotonic()

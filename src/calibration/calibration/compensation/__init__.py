@@ -1,1 +1,0 @@
-"""Corrected targets for a calibrated, loaded robot, as services."""

@@ -1,1 +1,0 @@
-"""The recorder: every topic of the table to a bag."""

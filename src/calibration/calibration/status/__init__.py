@@ -1,1 +1,0 @@
-"""What is being done, waited for and wrong: the sequencer's part of it, and the whole for panel and terminal."""
