@@ -176,11 +176,15 @@ class _StagedModel:
         size, axes = np.linalg.eigh(flat.T @ flat)
         shown = size * len(mine) > self._noise**2
         spread = axes[:, shown] / size[shown] @ axes[:, shown].T @ flat.T
-        for _ in range(TWICE if mine else 0):
-            moved = self._std[mine] * (spread @ self.rows.left(model).ravel())
-            value = {name: value_of(model, name) + float(by) for name, by in zip(names, moved, strict=True)}
-            model = with_values(model, value)
         left = self.rows.left(model)
+        for _ in range(TWICE if mine else 0):
+            moved = self._std[mine] * (spread @ left.ravel())
+            value = {name: value_of(model, name) + float(by) for name, by in zip(names, moved, strict=True)}
+            nearer = with_values(model, value)
+            leaves = self.rows.left(nearer)
+            if self.rows.rms(leaves) > self.rows.rms(left):  # beyond where the model is straight
+                break
+            model, left = nearer, leaves
         out = left.copy()
         for rows in self.rows.configurations:
             own = (3 * rows[:, None] + np.arange(3)).ravel()

@@ -126,6 +126,19 @@ def test_millimetres(cell: Cell, recorded: Readings, simulated: Readings, off: s
     assert kinds(ours, theirs, cell) == {"position_unit": off}
 
 
+def test_points_that_exchanged_their_names_on_the_way(cell: Cell, recorded: Readings, simulated: Readings) -> None:
+    """Two targets that were put into each other's nests, or taken for each other: no physics of what follows."""
+    position, numbers = recorded.position.copy(), np.unique(recorded.configuration)[-5:]
+    later = np.isin(recorded.configuration, numbers)
+    rows = [np.flatnonzero(later & (recorded.point == k)) for k in (0, 1)]
+    position[np.concatenate(rows)] = position[np.concatenate(rows[::-1])]
+    found = compare_checked(dataclasses.replace(recorded, position=position), simulated, cell)
+    (one,) = [difference for difference in found.differences if difference.spoils]
+    assert (one.kind, one.side, one.location["point"]) == ("point_order", "recording", "mp1, mp2")
+    assert f"in configurations {', '.join(map(str, numbers))}" in one.text
+    assert found.recording_spoiled
+
+
 def test_points_that_exchanged_their_names(cell: Cell, recorded: Readings, simulated: Readings) -> None:
     table = np.arange(len(simulated)).reshape(-1, 3)[:, [1, 0, 2]].reshape(-1)
     off = dataclasses.replace(simulated, position=simulated.position[table])

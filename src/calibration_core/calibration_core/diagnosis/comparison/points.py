@@ -41,6 +41,7 @@ def place(
     recorded: Float2D,
     simulated: Float2D,
     point: Int1D,
+    configuration: Int1D,
     names: tuple[str, ...],
     far: tuple[float, float],
     flange: Float3D | None = None,
@@ -53,6 +54,7 @@ def place(
         recorded: (m, 3) m, tracker frame.
         simulated: (m, 3) m.
         point: (m,) index of the point.
+        configuration: (m,) its number.
         names: Of the points.
         far: m per coordinate, how far recording and simulation are from the cell file's own prediction.
         flange: (m, 3, 3) whose columns are the flange's axes in the recording's frame; None: they are not known.
@@ -71,14 +73,15 @@ def place(
         else:
             simulated = simulated * factor
     source = simulated
-    order = _names(recorded, source, point, len(names))
+    order = _names(recorded, source, point, configuration, len(names))
     if order is not None:
         source = source[order.rows]
         listed = ", ".join(f"{names[a]} of the simulation is {names[b]} of the recording" for a, b in order.pairs)
         location = {"point": ", ".join(names[b] for _, b in order.pairs)}
-        text = f"The measurement points have other names: {listed}."
+        where = f" in {order.where}" if order.where else ""
+        text = f"The measurement points have other names{where}: {listed}."
         changed = [names[b] for _, b in order.pairs]
-        remedy = f"name the points as the cell file has them: {listed}"
+        remedy = f"name the points{where} as the cell file has them: {listed}"
         size = float(len(order.pairs))
         found.append(Difference("point_order", location, side, size, "1", text, True, remedy, {"points": changed}))
     rotation, shift, rms = rigid(recorded, source)
@@ -87,8 +90,8 @@ def place(
         rotation, shift, rms = mirrored, away, left
         text = "One frame is left-handed: an axis of the positions has the opposite sign."
         remedy = "turn the sign of one coordinate of all positions: frames are right-handed"
-        where, further = {"tracker": "tracker"}, {"points": list(names)}
-        found.append(Difference("point_order", where, side, 1.0, "1", text, True, remedy, further))
+        frame, further = {"tracker": "tracker"}, {"points": list(names)}
+        found.append(Difference("point_order", frame, side, 1.0, "1", text, True, remedy, further))
     else:
         apart = None if flange is None else _elsewhere(recorded, source @ rotation.T + shift, point, len(names), flange)
         if apart is not None and flange is not None:
@@ -169,8 +172,11 @@ def rigid(target: Float2D, source: Float2D, *, proper: bool = True) -> tuple[Flo
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Order:
+    """Rows in their other order, which names are meant, and in which configurations; empty: in all."""
+
     rows: Int1D
     pairs: tuple[tuple[int, int], ...]
+    where: str = ""
 
 
 def _unit(recorded: Float2D, simulated: Float2D) -> float:
@@ -183,21 +189,37 @@ def _unit(recorded: Float2D, simulated: Float2D) -> float:
     return 1.0
 
 
-def _names(recorded: Float2D, simulated: Float2D, point: Int1D, count: int) -> _Order | None:
-    """Return which points have exchanged their names; None if none have."""
-    usual = min(rigid(recorded, simulated, proper=proper)[2] for proper in (True, False))
+def _names(recorded: Float2D, simulated: Float2D, point: Int1D, configuration: Int1D, count: int) -> _Order | None:
+    """Return which points have exchanged their names, everywhere or in some configurations; None if none have."""
+    turn, shift, usual = min(
+        (rigid(recorded, simulated, proper=proper) for proper in (True, False)), key=lambda r: r[2]
+    )
     if usual < LEAST or not 2 <= count <= MOST_NAMES or len(recorded) % count:
         return None
     table = np.arange(len(recorded)).reshape(-1, count)
     if not np.array_equal(point[table], np.broadcast_to(np.arange(count), table.shape)):
         return None
-    best: tuple[float, tuple[int, ...]] | None = None
-    for order in itertools.permutations(range(count)):
-        rms = rigid(recorded, simulated[table[:, order].reshape(-1)])[2]
-        if best is None or rms < best[0]:
-            best = (rms, order)
-    assert best is not None  # noqa: S101 - there is at least one permutation
-    rms, order = best
-    if rms > BETTER * usual:
+    orders = [np.array(order) for order in itertools.permutations(range(count))]
+    left = [rigid(recorded, simulated[table[:, order].reshape(-1)])[2] for order in orders]
+    best = int(np.argmin(left))
+    if left[best] <= BETTER * usual:
+        return _Order(table[:, orders[best]].reshape(-1), _exchanged(orders[best]))
+    # Targets that exchange their names in some configurations leave the frame nearly where it is.
+    placed, rows, pairs, numbers = simulated @ turn.T + shift, table.copy(), set[tuple[int, int]](), []
+    for number in np.unique(configuration):
+        own = table[configuration[table[:, 0]] == number]
+        apart = [float(np.sqrt(np.mean((recorded[own] - placed[own[:, order]]) ** 2))) for order in orders]
+        best = int(np.argmin(apart))
+        if BETTER * apart[0] > LEAST and apart[best] < BETTER * apart[0]:
+            rows[configuration[table[:, 0]] == number] = own[:, orders[best]]
+            pairs.update(_exchanged(orders[best]))
+            numbers.append(str(number))
+    if not numbers:
         return None
-    return _Order(table[:, order].reshape(-1), tuple((a, b) for b, a in enumerate(order) if a != b))
+    return _Order(
+        rows.reshape(-1), tuple(sorted(pairs, key=lambda pair: pair[1])), f"configurations {', '.join(numbers)}"
+    )
+
+
+def _exchanged(order: Int1D) -> tuple[tuple[int, int], ...]:
+    return tuple((int(a), b) for b, a in enumerate(order) if a != b)

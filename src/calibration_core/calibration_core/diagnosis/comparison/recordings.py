@@ -301,7 +301,8 @@ def _frames(
         remedy = "state measurements.points: displacement in the cell file, or record positions"
         return [Difference("no_relation", {"tracker": "tracker"}, which, 0.0, "m", text, True, remedy)], None
     apart = far[0].absolute, far[1].absolute
-    placed = place(ours.position, theirs.position, ours.point, ours.points, apart, _flange_axes(ours, cell, chain))
+    axes = _flange_axes(ours, cell, chain)
+    placed = place(ours.position, theirs.position, ours.point, ours.configuration, ours.points, apart, axes)
     found = list(placed.differences)
     if placed.rms > WRONG_FILE * chain.reach and not known:
         side = farther_off(rigid_misfit(ours, cell), rigid_misfit(theirs, cell))
