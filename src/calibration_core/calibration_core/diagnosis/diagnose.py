@@ -291,9 +291,10 @@ def _diagnose(
     if is_loaded(readings) and not (cell.measurements.points == "absolute" and holds_single_steps(readings)):
         from calibration_core.diagnosis.loaded import diagnose_loaded
 
-        return diagnose_loaded(readings, cell, options, test, offers)
+        return diagnose_loaded(readings, cell, options, test, offers, identified)
     from calibration_core.diagnosis.positions import diagnose_mixed, diagnose_still
 
     if not is_loaded(readings):
-        return diagnose_still(readings, cell, test=test, believed=options.start, offers=offers)
+        known = identified if options.robust and not options.readmit else None
+        return diagnose_still(readings, cell, test=test, believed=options.start, offers=offers, identified=known)
     return diagnose_mixed(readings, cell, options, test, offers, identified)

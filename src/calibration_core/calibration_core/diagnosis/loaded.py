@@ -102,11 +102,15 @@ def diagnose_loaded(
     options: Options | None = None,
     test: Readings | None = None,
     offers: Offers | None = None,
+    identified: Identification | None = None,
 ) -> Diagnosis:
     """Say what the model of a loaded recording leaves out; arguments as `diagnose`, errors as `prepare_loaded`."""
     options = options or Options()
-    prepared = prepare_loaded(readings, cell, options)
-    identification = identify_prepared(prepared, cell, options, test)
+    if identified is not None and isinstance(identified.basis, PreparedLoaded):
+        prepared, identification = identified.basis, identified
+    else:
+        prepared = prepare_loaded(readings, cell, options)
+        identification = identify_prepared(prepared, cell, options, test)
     checked = check_each(prepared, lambda problem: loaded_state(problem, cell, prepared.fit.compliance))
     attempt = _search(prepared, cell, options, checked)
     extended, selection, seen = attempt.extended, attempt.selection, attempt.seen

@@ -34,18 +34,13 @@ from calibration_core.identification.absolute.evaluate import Evaluated, evaluat
 from calibration_core.identification.checks.noise_audit import rigid_triangle
 from calibration_core.identification.identify import fit_freed
 from calibration_core.identification.result.estimate import Anomaly, Identification
+from calibration_core.identification.several.mixed import BothFits, fit_both
 from calibration_core.identification.statistics import rms, rms_length
-from calibration_core.identification.stiffness.loaded import (
-    MIN_CONFIGURATIONS,
-    Options,
-    prepare_loaded,
-)
+from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.effects.applied import applied
-from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect, ModelParameters
 from calibration_core.observations.average import coordinate_std, position_covariance
-from calibration_core.observations.kinds import loaded_configurations, standing
 from calibration_core.timeseries import Readings
 
 DWARFS = 10.0  # times what remains unexplained, that a geometry error beside it must move the points
@@ -59,6 +54,7 @@ def diagnose_still(
     test: Readings | None = None,
     believed: ModelParameters | None = None,
     offers: Offers | None = None,
+    identified: Identification | None = None,
 ) -> Diagnosis:
     """Say what the model of a recording at rest leaves out.
 
@@ -67,14 +63,17 @@ def diagnose_still(
     Raises:
         InputError: As `identify_absolute`.
     """
-    evaluated = evaluate_absolute(readings, cell, believed=believed)
+    if identified is not None and isinstance(identified.basis, Evaluated):
+        evaluated = identified.basis
+    else:
+        evaluated, identified = evaluate_absolute(readings, cell, believed=believed), None
     found = estimate(readings, cell, evaluated)
     readmitted = frozenset(
         (int(readings.configuration[k]), int(readings.step[k]), readings.points[readings.point[k]])
         for k in np.flatnonzero(found.extended.model.used & ~evaluated.used)
     )
     if readmitted:  # gross errors only under the null model
-        evaluated = evaluate_absolute(readings, cell, readmit=readmitted, believed=believed)
+        evaluated, identified = evaluate_absolute(readings, cell, readmit=readmitted, believed=believed), None
     steps = found.parts(anomalies=True)
     if steps:  # what identification says is said of readings freed of what moved
         moved = found.extended.shift(steps) @ found.extended.parameters.tracker[:3, :3]
@@ -82,7 +81,7 @@ def diagnose_still(
         evaluated = evaluate_absolute(freed, cell, believed=believed)
         identification = identification_of(evaluated, freed, cell, test=test)
     else:
-        identification = identification_of(evaluated, readings, cell, test=test)
+        identification = identified or identification_of(evaluated, readings, cell, test=test)
     return diagnosis_of(found, evaluated, identification, cell, test=test, offers=offers)
 
 
@@ -244,20 +243,16 @@ def diagnose_mixed(
     Raises:
         InputError: As `identify_absolute`, and as `prepare_loaded` where several configurations were loaded.
     """
-    start = nominal_parameters(cell) if options.start is None else options.start
-    still = standing(readings)
     identification = fit_freed(readings, cell, options, test) if identified is None else identified
-    if len(loaded_configurations(readings)) < MIN_CONFIGURATIONS:  # too few for a stiffness by themselves
-        evaluated = evaluate_absolute(readings.select(still), cell, believed=start)
+    basis = identification.basis
+    fits = basis if isinstance(basis, BothFits) else fit_both(readings, cell, options)
+    prepared, still, evaluated = fits.loaded, fits.rows, fits.case
+    if prepared is None:
         used = np.ones(len(readings), dtype=bool)
         used[still] = evaluated.used
         found = estimate(readings, cell, evaluated, used)
         return diagnosis_of(found, evaluated, identification, cell, test=test, offers=offers)
-    prepared = prepare_loaded(readings, cell, options)
     checked = check_each(prepared, lambda problem: loaded_state(problem, cell, prepared.fit.compliance))
-    evaluated = evaluate_absolute(
-        readings.select(still), cell, believed=start.replace(compliance=prepared.fit.compliance)
-    )
     used = checked.sound & prepared.rejection.used
     used[still] &= evaluated.used  # gross errors that only the geometry shows
     found = estimate(readings, cell, evaluated, used)
@@ -271,7 +266,7 @@ def diagnose_mixed(
     if offers is None or result.next_measurements or not open_joints:
         return result
     # no posture shows what no load has shown
-    loads = propose_loads(prepared, start.compliance, np.flatnonzero(used), cell, offers)
+    loads = propose_loads(prepared, np.flatnonzero(used), cell, offers)
     if not loads.measurements:
         return result
     return dataclasses.replace(result, next_measurements=loads.measurements, next_text=loads.text)

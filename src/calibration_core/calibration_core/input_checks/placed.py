@@ -134,11 +134,12 @@ def _with_free_points(seen: PositionRecording) -> float:
         of = seen.point == index
         shift[of, :, 3 * index : 3 * index + 3] = axes[of]
     design = (shift - shift.mean(axis=0)).reshape(3 * len(seen.q), -1)
-    best = np.linalg.pinv(design)
+    best = np.linalg.pinv(design.T @ design, hermitian=True)
     origin, position = origin - origin.mean(axis=0), seen.position - seen.position.mean(axis=0)
     target = _predicted(seen)
     for _ in range(FITS):
-        target = origin + (design @ best @ (_moved(target, position) - origin).ravel()).reshape(-1, 3)
+        moved = (_moved(target, position) - origin).ravel()
+        target = origin + (design @ (best @ (design.T @ moved))).reshape(-1, 3)
     return _registered(target, seen.position)[0]
 
 

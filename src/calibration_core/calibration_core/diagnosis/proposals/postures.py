@@ -43,7 +43,7 @@ from calibration_core.model.effects.candidate import Trait
 from calibration_core.model.effects.words import effect_sentence
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.average import position_covariance
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
+from calibration_core.timeseries import Float2D, Float3D, Int1D
 
 NOTHING_FOUND = "Nothing was found in the positions that further postures would make more certain."
 NO_POSTURE = "No posture that the cell file allows could be drawn; nothing is proposed."
@@ -156,14 +156,13 @@ class _Postures(Knowledge):
 # --- what a recording of loaded steps tells, and what further configurations with loads would show of it --------------
 
 
-def propose_loads(prepared: PreparedLoaded, believed: Float1D, used: Int1D, cell: Cell, offers: Offers) -> Proposals:
+def propose_loads(prepared: PreparedLoaded, used: Int1D, cell: Cell, offers: Offers) -> Proposals:
     """Choose among configurations with loads for the stiffnesses alone, as the loaded steps of a recording show them.
 
     A joint that gave way in no step is taken for as stiff as it is believed to be.
 
     Args:
         prepared: The loaded steps of the recording.
-        believed: (n,) rad/(N*m), compliances by the cell file, or by the model to start from.
         used: Indices of the readings used.
         cell: The cell file.
         offers: What could be measured; configurations without loads tell nothing of it.
@@ -172,7 +171,7 @@ def propose_loads(prepared: PreparedLoaded, believed: Float1D, used: Int1D, cell
     if not pulled:
         return Proposals((), "")
     problem, fitted = prepared.problem, prepared.fit.compliance
-    start = np.where(fitted > 0, fitted, believed)
+    start = np.where(fitted > 0, fitted, prepared.nominal.compliance)
     rows = problem.linearise(start).rows.select(used)
     nothing = LoadedSelection((), (), 0.0, ())
     extended = extend(problem, cell, start, rows, used, (), prepared.frames, nothing)

@@ -162,6 +162,7 @@ def identification_of(
         test=None if test is None else tested_on(test, cell, parameters, case.nominal, with_frames=True),
         notes=(*readings.notes, *_notes(case)),
         estimate=named_estimate(uncertainty.names, uncertainty.covariance, parameters, cell),
+        basis=case,
     )
 
 

@@ -318,7 +318,7 @@ def pose_problem(chain: Chain, cell: Cell, parameters: ModelParameters, q: Float
 
 
 def geometry_terms(
-    chain: Chain, cell: Cell, parameters: ModelParameters, q: Float2D, *, base_known: bool = False
+    chain: Chain, cell: Cell, parameters: ModelParameters, q: Float2D
 ) -> tuple[tuple[Term, ...], tuple[Unidentified, ...]]:
     """Return the terms of frames, points and geometry that postures (m, n) rad can tell, and what they cannot.
 
@@ -327,14 +327,9 @@ def geometry_terms(
         cell: The cell.
         parameters: Frames and points.
         q: Postures that can be measured; some of them are judged.
-        base_known: Whether the tracker's pose in the base frame is known (CWA 17384, 7.1) and not fitted.
     """
     problem = pose_problem(chain, cell, parameters, q[:: max(len(q) // JUDGED, 1)])
-    hidden: tuple[Unidentified, ...] = ()
-    if base_known:
-        frames: list[Term] = [PointTerm(name, index) for index, name in enumerate(problem.names)]
-    else:
-        frames, hidden = select_frames(problem, parameters)
+    frames, hidden = select_frames(problem, parameters)
     choice = select_identifiable(problem, parameters, frames, candidates(cell))
     return (*frames, choice.term), (*hidden, *choice.unidentified)
 

@@ -541,6 +541,7 @@ class Identification:
         not_decoupled: Why there is none; empty if there is one.
         estimate: Everything identified in `model`, with its joint covariance, as the model file has it.
         together: Of which recordings it was identified, where there were several; None: one.
+        basis: The fit that it says in words, which a search for missing physics begins from; None: of several phases.
     """
 
     kind: Literal["loaded", "absolute"]
@@ -570,3 +571,4 @@ class Identification:
     not_decoupled: str = ""
     estimate: GaussianEstimate = dataclasses.field(default_factory=GaussianEstimate.nothing)
     together: Together | None = None
+    basis: object = None

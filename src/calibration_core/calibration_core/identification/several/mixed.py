@@ -26,7 +26,7 @@ from calibration_core.identification.result.estimate import (
 from calibration_core.identification.several.merge import Member
 from calibration_core.identification.standard.decoupled import identify_loaded
 from calibration_core.identification.statistics import rms
-from calibration_core.identification.stiffness.loaded import MIN_CONFIGURATIONS, Options, prepare_loaded
+from calibration_core.identification.stiffness.loaded import MIN_CONFIGURATIONS, Options, PreparedLoaded, prepare_loaded
 from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.nominal import nominal_parameters
@@ -43,92 +43,104 @@ GEOMETRY = "geometry."
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Standing:
-    """What the positions at rest show.
+class BothFits:
+    """What either kind of readings shows by itself.
 
     Attributes:
-        rows: (m,) which readings of the recording they are.
-        found: The same in values and figures.
+        loaded: Compliances from the steps; None where too few configurations were loaded for a stiffness.
+        rows: (m,) which readings of the recording are positions at rest.
+        case: Frames and geometry from those, at these compliances.
     """
 
+    loaded: PreparedLoaded | None
     rows: Bool1D
     case: Evaluated
-    found: Identification
 
 
-def _identify_both(readings: Readings, cell: Cell, options: Options, test: Readings | None = None) -> Identification:
-    """Identify stiffness from the loaded steps, on the geometry that the positions at rest show.
+def fit_both(readings: Readings, cell: Cell, options: Options) -> BothFits:
+    """Fit the loaded steps, and with their compliances the positions at rest.
 
     Raises:
         InputError: As `prepare_loaded` and `evaluate_absolute`.
     """
-    start = nominal_parameters(cell) if options.start is None else options.start
-    loaded = prepare_loaded(readings, cell, options).parameters
-    if readings.recording is None:  # frames of merged set-ups were known before; a single one shows its own
-        start = loaded.replace(geometry=start.geometry, compliance=start.compliance)
-    rows = standing(readings)
-    some = readings.select(rows)
-    believed = start.replace(compliance=loaded.compliance)
+    rows, loaded, believed = standing(readings), None, options.start
+    if len(loaded_configurations(readings)) >= MIN_CONFIGURATIONS:
+        loaded = prepare_loaded(readings, cell, options)
+        believed = nominal_parameters(cell) if believed is None else believed
+        if readings.recording is None:  # frames of merged set-ups were known before; a single one shows its own
+            believed = loaded.parameters.replace(geometry=believed.geometry)
+        believed = believed.replace(compliance=loaded.parameters.compliance)
     case = evaluate_absolute(
-        some,
+        readings.select(rows),
         cell,
         robust=options.robust,
         readmit=options.readmit,
         believed=believed,
         corrected=options.corrected,
     )
-    still = Standing(rows, case, identification_of(case, some, cell))
-    started = dataclasses.replace(options, start=start.replace(geometry=still.found.model.geometry))
-    found = _with_geometry(identify_loaded(readings, cell, started), still, cell)
+    return BothFits(loaded, rows, case)
+
+
+def _identify_both(readings: Readings, cell: Cell, options: Options, test: Readings | None = None) -> Identification:
+    """Identify stiffness from the loaded steps, on the geometry that the positions at rest show.
+
+    Raises:
+        InputError: As `fit_both`.
+    """
+    fits = fit_both(readings, cell, options)
+    still = identification_of(fits.case, readings.select(fits.rows), cell)
+    nominal = nominal_parameters(cell) if options.start is None else options.start
+    start = fits.case.nominal.replace(compliance=nominal.compliance)
+    started = dataclasses.replace(options, start=start.replace(geometry=still.model.geometry))
+    found = _with_geometry(identify_loaded(readings, cell, started), fits, still, cell)
     if test is None:
         return found
-    before = case.nominal.replace(compliance=start.compliance)
-    return dataclasses.replace(found, test=tested_on(test, cell, found.model, before, with_frames=True))
+    return dataclasses.replace(found, test=tested_on(test, cell, found.model, start, with_frames=True))
 
 
-def _with_geometry(found: Identification, still: Standing, cell: Cell) -> Identification:
+def _with_geometry(found: Identification, fits: BothFits, still: Identification, cell: Cell) -> Identification:
     """Return the answer of the loaded steps with geometry, residuals and exclusions of the positions at rest."""
-    estimate = _beside(found.estimate, still, cell)
+    estimate = _beside(found.estimate, fits.case, still.estimate, cell)
     seen = {(one.configuration, one.step, one.point) for one in found.exclusions}
-    further = [one for one in still.found.exclusions if (one.configuration, one.step, one.point) not in seen]
+    further = [one for one in still.exclusions if (one.configuration, one.step, one.point) not in seen]
     exclusions = (*found.exclusions, *further)
     kinds = {OUTLIERS, *(one.kind for one in found.anomalies)}
     anomalies = [one for one in found.anomalies if one.kind != OUTLIERS]
-    anomalies += [one for one in still.found.anomalies if one.kind not in kinds]
-    residuals, fit = _figures(found, still)
+    anomalies += [one for one in still.anomalies if one.kind not in kinds]
+    residuals, fit = _figures(found, fits, still)
     return dataclasses.replace(
         found,
-        method=f"{found.method}; geometry from all postures at rest ({still.found.method})",
+        method=f"{found.method}; geometry from all postures at rest ({still.method})",
         parameters=(*found.parameters, *_geometry_parameters(still, estimate, cell)),
-        unidentified=(*found.unidentified, *still.found.unidentified),
+        unidentified=(*found.unidentified, *still.unidentified),
         exclusions=exclusions,
         anomalies=(*outliers_of(exclusions), *anomalies),
         residuals=residuals,
         fit=fit,
         estimate=estimate,
+        basis=fits,
     )
 
 
-def _geometry_parameters(still: Standing, estimate: GaussianEstimate, cell: Cell) -> list[ParameterEstimate]:
+def _geometry_parameters(still: Identification, estimate: GaussianEstimate, cell: Cell) -> list[ParameterEstimate]:
     """Return the corrections of the geometry with the standard deviations of an estimate."""
     std, paths = dict(zip(estimate.names, estimate.std, strict=True)), model_paths(cell)
     return [
         dataclasses.replace(one, std=float(std.get(paths[one.name], one.std)))
-        for one in still.found.parameters
+        for one in still.parameters
         if one.group == "geometry"
     ]
 
 
-def _beside(found: GaussianEstimate, still: Standing, cell: Cell) -> GaussianEstimate:
+def _beside(found: GaussianEstimate, case: Evaluated, known: GaussianEstimate, cell: Cell) -> GaussianEstimate:
     """Return what loads and postures at rest show as one: the geometry is as uncertain as the compliances make it.
 
     At rest the robot sags by its compliances, which the loads have shown: an error of them is taken for geometry, with
     the sensitivity J = -(A^T A)^-1 A^T B of whitened columns A of what is fitted at rest and B of the compliances.
     """
-    known = still.found.estimate
     geometry = known.chosen([k for k, name in enumerate(known.names) if name.startswith(GEOMETRY)])
     whole = GaussianEstimate.independent((found, geometry))
-    case, joints = still.case, cell.robot.joints
+    joints = cell.robot.joints
     places = {name: row for row, name in enumerate(found.names)}
     held = [j for j, name in enumerate(joints) if _known(found, places.get(f"{COMPLIANCE}{name}"))]
     if case.staged.elastic or not held or not geometry.names:
@@ -153,16 +165,16 @@ def _known(found: GaussianEstimate, row: int | None) -> bool:
     return row is not None and bool(np.isfinite(found.covariance[row, row]))
 
 
-def _figures(found: Identification, still: Standing) -> tuple[Residuals, Fit]:
+def _figures(found: Identification, fits: BothFits, still: Identification) -> tuple[Residuals, Fit]:
     """Return residuals and figures over all readings: loaded steps say nothing of postures at rest, positions do."""
-    posture = at_rest(found.readings) & still.rows
-    some = posture[still.rows]
-    loaded, own, figures = found.residuals, still.found.residuals, found.fit
+    posture = at_rest(found.readings) & fits.rows
+    some = posture[fits.rows]
+    loaded, own, figures = found.residuals, still.residuals, found.fit
     residual, held_out = loaded.residual.copy(), loaded.held_out.copy()
     sigma, excluded = loaded.sigma.copy(), loaded.excluded.copy()
     residual[posture], held_out[posture], sigma[posture] = own.residual[some], own.held_out[some], own.sigma[some]
     excluded[posture] = own.excluded[some]
-    before = still.case.staged.frames
+    before = fits.case.staged.frames
     lengths = np.linalg.norm(held_out, axis=1)
     together = dataclasses.replace(
         loaded,
@@ -213,16 +225,9 @@ def _at_rest_alone(readings: Readings, cell: Cell, options: Options, test: Readi
     """Identify from positions at rest, where too few configurations were loaded for a stiffness."""
     count = len(loaded_configurations(readings))
     text = f"{count} with loaded steps is too few for a stiffness (at least {MIN_CONFIGURATIONS}): first steps are used"
-    some = readings.select(standing(readings)).with_notes(Note("few_loaded", "configuration", text, count))
-    case = evaluate_absolute(
-        some,
-        cell,
-        robust=options.robust,
-        readmit=options.readmit,
-        believed=options.start,
-        corrected=options.corrected,
-    )
-    return identification_of(case, some, cell, test=test)
+    fits = fit_both(readings, cell, options)
+    some = readings.select(fits.rows).with_notes(Note("few_loaded", "configuration", text, count))
+    return dataclasses.replace(identification_of(fits.case, some, cell, test=test), basis=fits)
 
 
 POINTS, TRACKER = "measurement_points.", "tracker."

@@ -326,6 +326,7 @@ def identify_phases(
         standard=standard,
         phases=_phases(found, rows, fitted, geometry, uncertainty, standard, scale),
         estimate=named_estimate(uncertainty.names, uncertainty.covariance, model, cell),
+        basis=None,
     )
 
 

@@ -103,11 +103,6 @@ class Options:
         )
 
 
-def identify_steps(readings: Readings, cell: Cell, options: Options) -> Identification:
-    """Identify from the differences between loaded and unloaded steps alone; errors as `prepare_loaded`."""
-    return identify_prepared(prepare_loaded(readings, cell, options), cell, options)
-
-
 def identify_prepared(
     prepared: PreparedLoaded, cell: Cell, options: Options, test: Readings | None = None
 ) -> Identification:
@@ -156,6 +151,7 @@ def identify_prepared(
         test=None if test is None else tested_on(test, cell, parameters, before, with_frames=False),
         notes=readings.notes,
         estimate=loaded_estimate(fit.solution.covariance * scale**2, frames, readings.points, parameters, cell),
+        basis=prepared,
     )
 
 
