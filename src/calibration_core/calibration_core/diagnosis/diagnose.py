@@ -295,6 +295,5 @@ def _diagnose(
     from calibration_core.diagnosis.positions import diagnose_mixed, diagnose_still
 
     if not is_loaded(readings):
-        known = identified if options.robust and not options.readmit else None
-        return diagnose_still(readings, cell, test=test, believed=options.start, offers=offers, identified=known)
+        return diagnose_still(readings, cell, options, test, offers, identified)
     return diagnose_mixed(readings, cell, options, test, offers, identified)

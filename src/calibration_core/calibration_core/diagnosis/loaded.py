@@ -24,7 +24,7 @@ from calibration_core.diagnosis.data_checks.noise import (
     with_noise,
 )
 from calibration_core.diagnosis.empirical import empirical_law, law_findings, law_sentence, with_open_laws
-from calibration_core.diagnosis.evidence.design import Design, LoadedSelection, select
+from calibration_core.diagnosis.evidence.design import LoadedSelection, select
 from calibration_core.diagnosis.evidence.extended import (
     ExtendedLoadedModel,
     aliases,
@@ -37,7 +37,6 @@ from calibration_core.diagnosis.evidence.extended import (
 )
 from calibration_core.diagnosis.evidence.residual import (
     Jumps,
-    held_out_error,
     held_out_lengths,
     held_out_ratio,
     jumps_along_a_joint,
@@ -83,13 +82,12 @@ FRAMES_SPOILED = frozenset({"target_moved", "tracker_moved"})
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Attempt:
-    """One pass: noise, all readings' rows with it, what was selected, the model extended by it, what was rejected, the
-    null model's rms, m.
+    """One pass: noise, all readings' rows with it, what was selected, the model extended by it, what was rejected, and
+    the null model's rms, m.
     """
 
     seen: Scatter
     rows: Rows
-    design: Design
     selection: LoadedSelection
     extended: ExtendedLoadedModel
     rejected: tuple[RejectedCandidate, ...]
@@ -143,6 +141,7 @@ def diagnose_loaded(
         rest = dataclasses.replace(rest, text=f"{rest.text} {law_sentence(law)}")
     extended = with_open_laws(extended, selection, law)
     unit = identification.noise.claimed * seen.total  # of one whitened row
+    before, after = (held_out_lengths(extended, cell, accepted) for accepted in ((), extended.accepted))
     joints = prepared.problem.chain.joints
     model = extended_model(prepared.parameters, extended) if extended.accepted else None
     proposals = NONE_ASKED
@@ -163,8 +162,8 @@ def diagnose_loaded(
         },
         rms_before=attempt.rms_before,
         rms_after=rms(extended.residual),
-        held_out_before=held_out_error(attempt.design, ()) * unit,
-        held_out_after=held_out_error(extended.design, selection.accepted) * unit,
+        held_out_before=float(np.sqrt(np.mean(before**2) / 3)),
+        held_out_after=float(np.sqrt(np.mean(after**2) / 3)),
         noise=unit if seen.freedom else identification.noise.claimed,  # what a model leaves is no noise
         level=selection.level,
         located=(),
@@ -179,7 +178,12 @@ def diagnose_loaded(
         model=model,
         estimate=identification.estimate if model is None else loaded_estimate(extended, identification, model, cell),
         aliases=aliases(extended.state, differences=True),
-        further_figures=_held_out_lengths(extended, cell),
+        further_figures={
+            "held_out_mean_before": float(before.mean()),
+            "held_out_max_before": float(before.max()),
+            "held_out_mean_after": float(after.mean()),
+            "held_out_max_after": float(after.max()),
+        },
     )
 
 
@@ -254,16 +258,6 @@ def _hypotheses(prepared: PreparedLoaded, cell: Cell) -> tuple[Candidate, ...]:
         return found
     refitted = effects_with(Trait.FRAMES)
     return tuple(candidate for candidate in found if candidate.effect not in refitted)
-
-
-def _held_out_lengths(extended: ExtendedLoadedModel, cell: Cell) -> dict[str, float]:
-    """Return mean and largest length of the prediction error of configurations left out, before and after, m."""
-    figures = {}
-    for name, accepted in (("before", ()), ("after", extended.accepted)):
-        length = held_out_lengths(extended, cell, accepted)
-        figures[f"held_out_mean_{name}"] = float(length.mean())
-        figures[f"held_out_max_{name}"] = float(length.max())
-    return figures
 
 
 def _anomalies(
@@ -363,7 +357,7 @@ def _attempt(
     if outdone:
         selection = selection.without([one.choice for one in outdone])
         extended = extend(problem, cell, compliance, rows, used, hypotheses, prepared.frames, selection)
-    return Attempt(seen, whole, design, selection, extended, outdone, _rms(used, prepared))
+    return Attempt(seen, whole, selection, extended, outdone, _rms(used, prepared))
 
 
 def _axes(prepared: PreparedLoaded) -> Float3D:

@@ -39,7 +39,7 @@ from calibration_core.identification.statistics import rms, rms_length
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.effects.applied import applied
-from calibration_core.model.parameters import AppliedEffect, ModelParameters
+from calibration_core.model.parameters import AppliedEffect
 from calibration_core.observations.average import coordinate_std, position_covariance
 from calibration_core.timeseries import Readings
 
@@ -50,35 +50,36 @@ REPORTED = {"time": 10, "posture": 20}  # blocks left out in the figures that ar
 def diagnose_still(
     readings: Readings,
     cell: Cell,
-    *,
+    options: Options | None = None,
     test: Readings | None = None,
-    believed: ModelParameters | None = None,
     offers: Offers | None = None,
     identified: Identification | None = None,
 ) -> Diagnosis:
-    """Say what the model of a recording at rest leaves out.
+    """Say what the model of a recording at rest leaves out; arguments as `diagnose`.
 
-    Rows are in the order of time.  `believed` is a model to start from (None: the cell file's); else as `diagnose`.
+    Rows are in the order of time.
 
     Raises:
         InputError: As `identify_absolute`.
     """
+    options = options or Options()
     if identified is not None and isinstance(identified.basis, Evaluated):
         evaluated = identified.basis
     else:
-        evaluated, identified = evaluate_absolute(readings, cell, believed=believed), None
+        evaluated, identified = evaluate_absolute(readings, cell, options), None
     found = estimate(readings, cell, evaluated)
     readmitted = frozenset(
         (int(readings.configuration[k]), int(readings.step[k]), readings.points[readings.point[k]])
         for k in np.flatnonzero(found.extended.model.used & ~evaluated.used)
     )
     if readmitted:  # gross errors only under the null model
-        evaluated, identified = evaluate_absolute(readings, cell, readmit=readmitted, believed=believed), None
+        options, identified = dataclasses.replace(options, readmit=options.readmit | readmitted), None
+        evaluated = evaluate_absolute(readings, cell, options)
     steps = found.parts(anomalies=True)
     if steps:  # what identification says is said of readings freed of what moved
         moved = found.extended.shift(steps) @ found.extended.parameters.tracker[:3, :3]
         freed = dataclasses.replace(readings, position=readings.position - moved)
-        evaluated = evaluate_absolute(freed, cell, believed=believed)
+        evaluated = evaluate_absolute(freed, cell, options)
         identification = identification_of(evaluated, freed, cell, test=test)
     else:
         identification = identified or identification_of(evaluated, readings, cell, test=test)

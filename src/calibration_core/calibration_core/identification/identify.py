@@ -70,15 +70,7 @@ def fit_freed(readings: Readings, cell: Cell, options: Options, test: Readings |
     if is_loaded(readings):
         return identify_loaded(readings, cell, options, test)
     readings = readings.with_notes(*_without_effect(options))
-    found = identify_absolute(
-        readings,
-        cell,
-        robust=options.robust,
-        test=test,
-        readmit=options.readmit,
-        believed=options.start,
-        corrected=options.corrected,
-    )
+    found = identify_absolute(readings, cell, options, test)
     if readings.recording is not None:
         return found
     names, covariance = found.names, found.covariance

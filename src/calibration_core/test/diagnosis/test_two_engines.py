@@ -58,9 +58,8 @@ def test_noise_that_grows_with_the_load_is_estimated(loaded: Cell) -> None:
     assert "noise_understated" in [one.kind for one in found.anomalies]
 
 
-@one_engine
 def test_what_is_predicted_of_configurations_left_out_has_one_figure(loaded: Cell) -> None:
-    """Both commands hand out the same model: one counts readings beside their offsets, the other differences."""
+    """Both commands hand out the same model."""
     found = diagnose(loaded_readings(loaded, 3, 16), loaded)
     assert found.model is None
     assert found.identification.fit.held_out_rms_after == pytest.approx(found.held_out_after, rel=0.01)

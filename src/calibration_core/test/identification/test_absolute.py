@@ -21,6 +21,7 @@ from absolute_cases import (
 from calibration_core.errors import CellError, IdentificationError
 from calibration_core.identification.absolute.evaluate import identify_absolute
 from calibration_core.identification.geometry.parameter_table import pose_by_twist
+from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.chain import pose_matrix, rotation_about, rpy_of
 
@@ -112,8 +113,8 @@ def test_an_outlier_is_named_and_can_be_called_back() -> None:
     assert result.residuals.excluded[41]
     assert result.fit.rms_used < 1.05 * SIGMA < result.fit.rms_after
     for kept in (
-        identify_absolute(wrong, cell, robust=False),
-        identify_absolute(wrong, cell, readmit=frozenset({(42, 0, "mp1")})),
+        identify_absolute(wrong, cell, Options(robust=False)),
+        identify_absolute(wrong, cell, Options(readmit=frozenset({(42, 0, "mp1")}))),
     ):
         assert not kept.exclusions
         assert kept.fit.rms_used > 3 * SIGMA

@@ -36,7 +36,7 @@ def test_the_geometry_follows_the_compliances_as_finite_differences_say(tmp_path
 
     def fitted(compliance: np.ndarray) -> np.ndarray:
         start = found.model.replace(geometry=np.zeros((6, 6)), compliance=compliance)
-        at = evaluate_absolute(some, cell, robust=False, believed=start, corrected=True)
+        at = evaluate_absolute(some, cell, Options(robust=False, start=start, corrected=True))
         return np.array([value_of(at.staged.final.fit.parameters, name) for name in names])
 
     for j in range(6):

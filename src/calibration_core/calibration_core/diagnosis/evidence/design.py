@@ -186,6 +186,7 @@ class Choice:
     Attributes:
         candidate: Its index.
         log_bayes_factor: Given all other accepted ones, nats.
+        held_out_gain: Share of the squared error on blocks left out that it saves with its refinements.
         equivalents: Other places that come within five nats at a plausible size, nearest first, and their log Bayes
             factors.
         refinements: Accepted candidates that are this one's law or neighbour, not causes of their own.
@@ -194,6 +195,7 @@ class Choice:
 
     candidate: int
     log_bayes_factor: float
+    held_out_gain: float = 0.0
     equivalents: tuple[tuple[int, float], ...] = ()
     refinements: tuple[int, ...] = ()
     forms: tuple[tuple[int, float], ...] = ()
@@ -256,21 +258,35 @@ def select(design: Design, *, noise_known: bool = True) -> LoadedSelection:
     found = search.result(accepted)
     hypotheses = search.field.offered.hypotheses
     choices: list[Choice] = []
+    own: list[list[int]] = []  # hypotheses of each
     gains = dict(zip(found.accepted, found.gain, strict=True))
     for index in strongest_first(search, found.accepted, design.joints):
         candidate, gain = hypotheses[index].members[0], gains[index]
         for k, choice in enumerate(choices):
             if _is_refinement(design, choice, candidate, gain):
                 choices[k] = dataclasses.replace(choice, refinements=(*choice.refinements, candidate))
+                own[k].append(index)
                 break
         else:
             forms = tuple((hypotheses[i].members[0], nats) for i, nats in other_forms(search, found, index))
             elsewhere = [(hypotheses[i], nats) for i, nats in other_places(search, found, index)]
             single = tuple((one.members[0], nats) for one, nats in elsewhere if len(one.members) == 1)
-            choices.append(Choice(candidate, gain, single, forms=forms))
+            choices.append(Choice(candidate, gain, equivalents=single, forms=forms))
+            own.append([index])
     chosen = tuple(hypotheses[index].members[0] for index in found.accepted)
     unsure = tuple(lent(search, found.accepted, index, design.joints) for index in found.accepted)
-    return LoadedSelection(tuple(choices), chosen, found.level, unsure)
+    several = tuple(
+        dataclasses.replace(choice, held_out_gain=_saved(search, found.accepted, mine))
+        for choice, mine in zip(choices, own, strict=True)
+    )
+    return LoadedSelection(several, chosen, found.level, unsure)
+
+
+def _saved(search: Search, accepted: Accepted, some: Collection[int]) -> float:
+    """Return the share of the squared error on blocks left out that some accepted hypotheses save."""
+    others = tuple(i for i in accepted if i not in some)
+    without, whole = (sum(float(part.sum()) for part in search.squares(one)) for one in (others, accepted))
+    return 1 - whole / without
 
 
 def field_of(design: Design) -> Field:

@@ -61,32 +61,23 @@ def weighted_rest(extended: ExtendedLoadedModel) -> tuple[Float1D, float, int]:
     return rest, float(rest @ rest) / freedom, freedom
 
 
-def held_out_error(design: Design, accepted: tuple[int, ...]) -> float:
-    """Return the rms of the whitened prediction error of configurations left out (1 is the noise)."""
-    columns = design.fitted(accepted)
-    squares = 0.0
-    for number, value in solutions(design, accepted)[1].items():
-        rows = design.configuration == number
-        squares += float(((design.residual[rows] - columns[rows] @ value) ** 2).sum())
-    return float(np.sqrt(squares / len(design.residual)))
-
-
 def held_out_ratio(design: Design, accepted: tuple[int, ...]) -> float:
     """Return the rms of the prediction error of configurations left out, over what noise and discrepancy make it.
 
     With columns X of ridge R, discrepancy D of size one and noise of size one, the error of rows b has the covariance
     1 + X_b (X'X - X_b'X_b + R)^-1 X_b' + E E', E = D_b - X_b (X'X - X_b'X_b + R)^-1 (X'D - X_b'D_b).
     """
-    columns, _, ridge = _scaled(design, accepted)
+    columns, scale, ridge = _scaled(design, accepted)
     usual = design.columns[:, design.discrepancy]
-    matrix, across, expected = columns.T @ columns + np.diag(ridge), columns.T @ usual, 0.0
-    for number in np.unique(design.configuration):
+    matrix, across, expected, seen = columns.T @ columns + np.diag(ridge), columns.T @ usual, 0.0, 0.0
+    for number, value in solutions(design, accepted)[1].items():
         rows = design.configuration == number
+        seen += float(((design.residual[rows] - columns[rows] @ (value * scale)) ** 2).sum())
         own, also = columns[rows], usual[rows]
         through = np.linalg.solve(matrix - own.T @ own, np.column_stack([own.T, across - own.T @ also]))
         k = len(own)
         expected += k + float(np.sum(own.T * through[:, :k])) + float(np.sum((also - own @ through[:, k:]) ** 2))
-    return held_out_error(design, accepted) / float(np.sqrt(expected / len(design.residual)))
+    return float(np.sqrt(seen / expected))
 
 
 def _scaled(design: Design, accepted: tuple[int, ...]) -> tuple[Float2D, Float1D, Float1D]:

@@ -71,7 +71,7 @@ def findings_of(
                 variant=candidate.variant,
                 parameters=found_parameters(candidate, *extended.values_of(choice.candidate)),
                 log_bayes_factor=choice.log_bayes_factor,
-                held_out_gain=_gain(extended, selection, choice),
+                held_out_gain=choice.held_out_gain,
                 magnitude=magnitude,
                 explanation=_explanation(
                     candidate,
@@ -104,15 +104,6 @@ def _location(location: Location, readings: Readings) -> Location:
         else value
         for key, value in location.items()
     }
-
-
-def _gain(extended: ExtendedLoadedModel, selection: LoadedSelection, choice: Choice) -> float:
-    from calibration_core.diagnosis.evidence.residual import held_out_error
-
-    mine = {choice.candidate, *choice.refinements}
-    others = tuple(index for index in selection.accepted if index not in mine)
-    without, whole = (held_out_error(extended.design, accepted) for accepted in (others, selection.accepted))
-    return float(1 - (whole / without) ** 2)
 
 
 def _stiffness_changes(extended: ExtendedLoadedModel, identification: Identification) -> dict[str, float]:

@@ -61,6 +61,7 @@ from calibration_core.identification.result.estimate import (
 from calibration_core.identification.result.observability import stiffness_table
 from calibration_core.identification.statistics import Solution, column_scale, rms
 from calibration_core.identification.stiffness.fit import Key
+from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.effects.candidate import typical
 from calibration_core.model.kinematics import posture
@@ -99,32 +100,21 @@ class Evaluated:
 
 
 def identify_absolute(
-    readings: Readings,
-    cell: Cell,
-    *,
-    robust: bool = True,
-    test: Readings | None = None,
-    readmit: frozenset[Key] = frozenset(),
-    believed: ModelParameters | None = None,
-    corrected: bool = False,
+    readings: Readings, cell: Cell, options: Options | None = None, test: Readings | None = None
 ) -> Identification:
     """Identify frames, geometry and, where the recording proves it, elasticity from absolute positions.
 
     Args:
         readings: The recording; every configuration has a single step (more do no harm).
         cell: The cell file.
-        robust: Set gross errors aside.
+        options: How to evaluate.
         test: A second recording, predicted but not fitted.
-        readmit: (configuration, step, point) of readings that must be used whatever they look like.
-        believed: Model to start from; None: what the cell file believes.
-        corrected: Correct the geometry even where configurations left out do not prove that it helps.
 
     Raises:
         CellError: A wrench was recorded and a frame for it is missing.
         IdentificationError: Too few configurations, positions on one line, or differences instead of positions.
     """
-    case = evaluate_absolute(readings, cell, robust=robust, readmit=readmit, believed=believed, corrected=corrected)
-    return identification_of(case, readings, cell, test=test)
+    return identification_of(evaluate_absolute(readings, cell, options), readings, cell, test=test)
 
 
 def identification_of(
@@ -166,21 +156,15 @@ def identification_of(
     )
 
 
-def evaluate_absolute(
-    readings: Readings,
-    cell: Cell,
-    *,
-    robust: bool = True,
-    readmit: frozenset[Key] = frozenset(),
-    believed: ModelParameters | None = None,
-    corrected: bool = False,
-) -> Evaluated:
+def evaluate_absolute(readings: Readings, cell: Cell, options: Options | None = None) -> Evaluated:
     """Take all decisions: gross errors, identifiable geometry, stages of the model; arguments as `identify_absolute`.
 
     Raises:
         CellError: A wrench was recorded and a frame for it is missing.
         IdentificationError: Too few configurations, positions on one line, or differences instead of positions.
     """
+    options = options or Options()
+    robust, believed, corrected = options.robust, options.start, options.corrected
     nominal = nominal_parameters(cell) if believed is None else believed
     known = believed is not None or cell.frames.tracker is not None
     problem = absolute_problem(readings, cell, chain_of(cell), nominal, position_covariance(readings, cell))
@@ -188,7 +172,7 @@ def evaluate_absolute(
     terms, hidden = select_frames(problem, start)
     start = start.replace(points={**start.points, **_unfitted_points(terms, start, nominal)})
     used = np.ones(len(readings), dtype=bool)
-    protected = _protected(readings, readmit)
+    protected = _protected(readings, options.readmit)
     rejection: GrossErrorRejection | None = None
     if robust:
         rejection = reject_gross_errors(problem, start, terms, used, protected)

@@ -70,14 +70,7 @@ def fit_both(readings: Readings, cell: Cell, options: Options) -> BothFits:
         if readings.recording is None:  # frames of merged set-ups were known before; a single one shows its own
             believed = loaded.parameters.replace(geometry=believed.geometry)
         believed = believed.replace(compliance=loaded.parameters.compliance)
-    case = evaluate_absolute(
-        readings.select(rows),
-        cell,
-        robust=options.robust,
-        readmit=options.readmit,
-        believed=believed,
-        corrected=options.corrected,
-    )
+    case = evaluate_absolute(readings.select(rows), cell, dataclasses.replace(options, start=believed))
     return BothFits(loaded, rows, case)
 
 
