@@ -18,6 +18,7 @@ import math
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -75,6 +76,14 @@ def signals_wait() -> Iterator[None]:
         signal.raise_signal(number)
 
 
+def free_port() -> int:
+    """Return a port of this machine that nobody serves."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        port: int = one.getsockname()[1]
+        return port
+
+
 class Processes:
     """Whatever was started; each in a group of its own, so that what it starts ends with it."""
 
@@ -123,8 +132,10 @@ class Cell:
         self._out, self._processes = out, processes
         self.session, self.bag = out / "session", out / "session" / "bag"
         concealed = {"speed": SPEED, "concealed_joint": JOINT, "concealed_compliance": COMPLIANCE}
-        self._start("calibration_sim", "simulated_cell", concealed)
+        address = f"127.0.0.1:{free_port()}"
+        self._start("calibration_sim", "simulated_cell", concealed | {"tracker": "line", "tracker_address": address})
         own: dict[str, dict[str, object]] = {
+            "tracker": {"driver": "line", "address": address},
             "recorder": {"out": self.bag},
             "identification": {"recording": self.bag},
         }

@@ -138,6 +138,10 @@ TRANSFORMS = "Whether robot_state_publisher is started, where it is installed"
 OF_DRIVER = Argument("transforms", f"{TRANSFORMS}; the drivers of most robots bring it.", "false", choices=SWITCH)
 OF_US = Argument("transforms", f"{TRANSFORMS}.", "true", choices=SWITCH)
 
+TRACKER = Argument("tracker", "The simulated tracker: one beam, or a stream of all points.", "line",
+                   choices=("line", "stream"))  # fmt: skip
+ADDRESS = Argument("tracker_address", "Where the one beam is asked: host:port, each cell its own.", "127.0.0.1:7000")
+
 HOST = Argument("host", "Address at which the operator's panel is served; 0.0.0.0: at every one of this machine.",
                 "127.0.0.1")  # fmt: skip
 PORT = Argument("port", "Its port, or the next one that is free; 0: any.", "8420", type=int)
@@ -145,12 +149,12 @@ CELL_FILE = {"cell": Given("cell")}
 BAG = {"recording": Given("session", "bag")}
 
 
-def _suite(everywhere: Mapping[str, Value], motion: Mapping[str, Value], adapter: Value, load: Mapping[str, Value]
-           ) -> tuple[Process, ...]:  # fmt: skip
+def _suite(everywhere: Mapping[str, Value], motion: Mapping[str, Value], adapter: Value, load: Mapping[str, Value],
+           tracker: Mapping[str, Value]) -> tuple[Process, ...]:  # fmt: skip
     """Return the nodes of a cell: who moves the robot and who stops it are told the same way to it."""
     return (
         Process("recorder", {**everywhere, "out": Given("session", "bag")}),
-        Process("tracker", everywhere),
+        Process("tracker", {**everywhere, **tracker}),
         Process("force_torque", everywhere),
         Process("guard", {**everywhere, **motion, "robot_state.adapter": adapter}, sigterm_after=OUTLIVES),
         Process("sequencer", {**everywhere, **motion, **load}),
@@ -165,7 +169,7 @@ REAL_CELL = Tree(
     (CELL, SESSION, PARAMETERS_FILE, NAMESPACE, LOG_LEVEL, USE_SIM_TIME, BACKEND, INTERFACE, ADAPTER, HOST,
      PORT, RVIZ, OF_DRIVER),
     _suite({**CELL_FILE, "use_sim_time": Given("use_sim_time")},
-           {"motion.backend": Given("backend"), "motion.interface": Given("interface")}, Given("adapter"), {}),
+           {"motion.backend": Given("backend"), "motion.interface": Given("interface")}, Given("adapter"), {}, {}),
 )  # fmt: skip
 SIMULATED_CELL = Tree(
     (
@@ -176,6 +180,8 @@ SIMULATED_CELL = Tree(
         LOG_LEVEL,
         SPEED,
         Argument("seed", "Of the hidden truth and of the noise.", "1", type=int),
+        TRACKER,
+        ADDRESS,
         HOST,
         PORT,
         RVIZ,
@@ -184,12 +190,26 @@ SIMULATED_CELL = Tree(
     (
         Process(
             "simulated_cell",
-            {**CELL_FILE, "use_sim_time": True, "clock": True, "speed": Given("speed"), "seed": Given("seed")},
+            {
+                **CELL_FILE,
+                "use_sim_time": True,
+                "clock": True,
+                "speed": Given("speed"),
+                "seed": Given("seed"),
+                "tracker": Given("tracker"),
+                "tracker_address": Given("tracker_address"),
+            },
             package="calibration_sim",
             sigterm_after=OUTLIVES,
             respawned=False,  # it stands for the robot, and its clock would begin anew
         ),
-        *_suite({**CELL_FILE, "use_sim_time": True}, {"motion.backend": "simulated"}, "native", {"load.by": "device"}),
+        *_suite(
+            {**CELL_FILE, "use_sim_time": True},
+            {"motion.backend": "simulated"},
+            "native",
+            {"load.by": "device"},
+            {"driver": Given("tracker"), "address": Given("tracker_address")},
+        ),
     ),
     remappings=MappingProxyType({"/clock": "clock"}),  # each cell has its own
 )

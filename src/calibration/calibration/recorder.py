@@ -2,7 +2,7 @@
 
 Callbacks only append; a thread of its own opens, writes, syncs and closes bags.  `~/close` ends the bag's file, so that
 it can be evaluated while the node lives on; `~/open` continues the bag with a further file.  `~/hears` tells whether
-every instrument that publishes has been heard: what is measured before that would be missing in the bag.
+every instrument that publishes would be heard: what is measured before that would be missing in the bag.
 
 Where the bag is, the session decides that is measured: `~/record` closes the present bag and goes on in the session's.
 Twenty times a second the recorder says what it does; whoever measures and does not hear that stops.  A bag that cannot
@@ -389,13 +389,15 @@ class RecorderNode(CalibrationNode):
 
     def _on_hears(self, _request: Any, response: Any) -> Any:
         silent = [
-            topic.name
-            for topic in self._instruments
-            if topic.name not in self._infos and self.count_publishers(topic.relative)
+            topic.name for topic in self._instruments if self._matched(topic) < self.count_publishers(topic.relative)
         ]
         response.success = not silent
         response.message = f"nothing is heard yet of {', '.join(silent)}" if silent else ""
         return response
+
+    def _matched(self, topic: Topic) -> int:
+        """Return from how many publishers a sample would come: a tracker that has to be aimed sends none before."""
+        return self._heard[topic.name][0].get_publisher_count() if topic.name in self._heard else 0
 
     def _sign(self) -> None:
         bag = self._bag

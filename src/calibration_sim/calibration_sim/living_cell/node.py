@@ -1,8 +1,9 @@
 """`simulated_cell`: the living cell as a ROS node, with the interfaces that drivers in a real cell have.
 
-Publishes joint states, tracker points, wrench, temperature, robot state, and `/clock` at a chosen multiple of real
-time; follows trajectories (action `driver/move_to`, topic `driver/joint_trajectory`); puts loads on (action
-`driver/apply_load`); misbehaves on request (parameter `fault`).  This is the only module of the package that knows ROS.
+Publishes joint states, tracker points (a tracker with one beam: see `one_beam`), wrench, temperature, robot state, and
+`/clock` at a chosen multiple of real time; follows trajectories (action `driver/move_to`, topic
+`driver/joint_trajectory`); puts loads on (action `driver/apply_load`); misbehaves on request (parameter `fault`).
+This module and `messages` alone know ROS.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from calibration_sim.living_cell.live import LiveCell, Refused
 from calibration_sim.living_cell.live_sensors import LiveSensors
 from calibration_sim.living_cell.messages import PARAMETERS, path_of, reported, wrench_message, wrench_values
 from calibration_sim.living_cell.motion_log import MotionLog, TruthLog
+from calibration_sim.living_cell.one_beam import BeamServer, OneBeam
 from calibration_sim.living_cell.schedule import Schedule
 from calibration_sim.mechanics.chain import read_chain
 from calibration_sim.mechanics.mjcf import Spring
@@ -94,7 +96,20 @@ class SimulatedCell(Node):
         self._motion_log = MotionLog(FilePath(motion_log)) if motion_log else None
         truth_log = self._value("truth_log")
         self._truth_log = TruthLog(FilePath(truth_log)) if truth_log else None
+        self._beam_server: BeamServer | None = None
+        self._beam = self._served_beam()
         self._interfaces()
+
+    def _served_beam(self) -> OneBeam | None:
+        """Return the tracker's one beam, which is asked over TCP; None: it sees all points at once."""
+        kind = self._value("tracker")
+        if kind not in ("stream", "line"):
+            raise InputError("simulated_cell", "tracker", quoted(kind), "one of stream, line")
+        if kind == "stream":
+            return None
+        beam = OneBeam(tuple(self.cell.points), self.live.points, self.lock)
+        self._beam_server = BeamServer(self._value("tracker_address"), beam)
+        return beam
 
     def _interfaces(self) -> None:
         topics, node = self.cell.topics, self
@@ -169,6 +184,8 @@ class SimulatedCell(Node):
                 self.log("rest")
             due = self.schedule.due(until)
             self._send_clock(until)
+            if self._beam is not None:
+                self._beam.step(until)
             if "joints" in due and not on(Kind.JOINTS_STALE):
                 self._send_joints()
             if "tracker" in due:
@@ -209,27 +226,34 @@ class SimulatedCell(Node):
         self._joints.publish(JointState(header=self._header(), name=list(self.cell.robot.joints), position=position))
 
     def _send_points(self) -> None:
-        places, on = self.live.points(), self.faults.on
-        self._held = (places if self._held is None else self._held) if on(Kind.TRACKER_HELD) else None
-        places = places if self._held is None else self._held
-        if on(Kind.TARGETS_EXCHANGED):
-            places = places[[1, 0, *range(2, len(places))]]
-        places = places + self.faults.grown(Kind.TRACKER_DRIFT, self.live.time)
+        places, on = self._shown_places(), self.faults.on
         if self._truth_log is not None:
             self._truth_log.add(self.live)
         for index, (name, publisher) in enumerate(self._points.items()):
-            if on(Kind.TRACKER_SILENT, name):
+            if on(Kind.TRACKER_SILENT, name) or (self._beam is not None and self._beam.target != index):
                 continue
             shown = self._sensors.point(index, places[index])
             if on(Kind.TRACKER_JUMP, name):
                 shown = shown + self.faults.value(Kind.TRACKER_JUMP, 0.0)
             if on(Kind.TRACKER_NOT_FINITE, name):
                 shown = np.full(3, np.nan)
+            if self._beam is not None:
+                self._beam.read(None if on(Kind.BEAM_BROKEN, name) else shown)
+                continue
             if on(Kind.BEAM_BROKEN, name):
                 shown = self._seen.get(name, shown)
             self._seen[name] = shown
             x, y, z = shown.tolist()
             publisher.publish(PointStamped(header=self._header("tracker"), point=Point(x=x, y=y, z=z)))
+
+    def _shown_places(self) -> Float2D:
+        """Return what the tracker takes for the places of the points, (p, 3) m, without its noise."""
+        places, on = self.live.points(), self.faults.on
+        self._held = (places if self._held is None else self._held) if on(Kind.TRACKER_HELD) else None
+        places = places if self._held is None else self._held
+        if on(Kind.TARGETS_EXCHANGED):
+            places = places[[1, 0, *range(2, len(places))]]
+        return places + self.faults.grown(Kind.TRACKER_DRIFT, self.live.time)
 
     def _send_wrench(self) -> None:
         if self.cell.frames.wrench_point is None:
@@ -363,7 +387,9 @@ class SimulatedCell(Node):
         return SetParametersResult(successful=True)
 
     def close(self) -> None:
-        """Close the files."""
+        """Close the files, and the tracker's connections."""
+        if self._beam_server is not None:
+            self._beam_server.close()
         if self._motion_log is not None:
             self._motion_log.close()
         if self._truth_log is not None:
