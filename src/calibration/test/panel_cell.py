@@ -170,7 +170,7 @@ class Cell:
         speed: float = 4.0,
         more: dict[str, dict[str, object]] | None = None,
     ) -> None:
-        said = {"cell": CELL, "session": root / "session", "speed": speed, "port": 0}
+        said = {"cell": CELL, "session": root / "session", "speed": speed, "port": 0, "tracker": "stream"}
         self.root = root
         unloaded(root)
         environment = {**environment, "ROS_HOME": str(root)}

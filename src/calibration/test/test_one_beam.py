@@ -39,11 +39,14 @@ from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
 from calibration_core.measurement.aim import Aim
 from calibration_core.observations.samples import Limits
+from calibration_sim.living_cell.one_beam import SEARCH, BeamServer
+from calibration_sim.living_cell.one_beam import OneBeam as SimulatedBeam
 
 STAND_IN = Path(__file__).with_name("one_line.py")
 PLACE = np.array([2.5, -1.25, 0.5])
 Q = np.array([0.1, -0.9, 1.2, 0.3, 0.5, -0.2])
 PATIENCE = 2.0  # s that a test gives an answer
+ASIDE = np.array([0.0, 0.15, 0.0])  # m, from one reflector to the next
 
 
 class LateError(Exception):
@@ -83,6 +86,39 @@ def line(port: int, template: str = "plain") -> Line:
     return Line(("127.0.0.1", port), load_template(template))
 
 
+class Lived:
+    """The simulated cell's tracker, ten times a second of a time that passes quickly."""
+
+    def __init__(self) -> None:
+        self.places = np.array([PLACE, PLACE + ASIDE])
+        self.lock, self._over = threading.RLock(), threading.Event()
+        self.beam, self.broken = SimulatedBeam(("mp1", "mp2"), lambda: self.places, self.lock), False
+        self.server = BeamServer("127.0.0.1:0", self.beam)
+        self._thread = threading.Thread(target=self._live)
+        self._thread.start()
+
+    def _live(self) -> None:
+        for k in itertools.count(1):
+            if self._over.wait(0.002):
+                return
+            with self.lock:
+                self.beam.step(0.1 * k)
+                if self.beam.target is not None:
+                    self.beam.read(None if self.broken else self.places[self.beam.target])
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join()
+        self.server.close()
+
+
+@pytest.fixture
+def lived() -> Iterator[Lived]:
+    one = Lived()
+    yield one
+    one.close()
+
+
 # --- line ---------------------------------------------------------------------------------------------------------
 
 
@@ -98,6 +134,31 @@ def test_a_program_is_asked_to_aim_and_to_measure(program: Callable[..., int]) -
     assert before <= found[0].begin < found[-1].end
     assert found[-1].end - found[0].begin >= 5e7
     driver.close()
+
+
+def test_the_simulated_tracker_speaks_as_the_template_says(lived: Lived) -> None:
+    driver = line(lived.server.server_address[1])
+    for name, place in zip(("mp2", "mp1"), lived.places[::-1], strict=True):
+        driver.aim(name, place + 0.1 * ASIDE, patience())
+        found = driver.measure(0.02, patience())
+        np.testing.assert_allclose([one.place for one in found], [place] * len(found), atol=1e-9)
+    with pytest.raises(DriverError, match=f"refuses: no reflector within {SEARCH:g} m"):
+        driver.aim("mp1", PLACE - 2 * ASIDE, patience())
+    with pytest.raises(DriverError, match="refuses: no reflector"):
+        driver.aim("mp1", -PLACE, patience())
+    with pytest.raises(DriverError, match="refuses: beam broken"):  # it looks at nothing
+        driver.measure(0.02, patience())
+    driver.aim("mp1", PLACE, patience())
+    lived.broken = True
+    with pytest.raises(DriverError, match="refuses: beam broken"):
+        driver.measure(0.02, patience())
+    for word in ("mp3", "mp1 mp1"):
+        with pytest.raises(DriverError, match=r"refuses: found .AIM .*, expected AIM POINT X Y Z"):
+            driver.aim(word, PLACE, patience())
+    with pytest.raises(DriverError, match="refuses: there is no such direction"):
+        driver.aim("mp1", 0.0 * PLACE, patience())
+    with pytest.raises(InputError, match="expected host:port of this machine that is free"):
+        BeamServer(f"127.0.0.1:{lived.server.server_address[1]}", lived.beam)
 
 
 def test_what_measures_at_once_is_asked_until_the_window_is_over(program: Callable[..., int]) -> None:

@@ -195,18 +195,24 @@ def test_close_and_open(spinning: Any, until: Callable[..., None], tmp_path: Pat
 def test_an_instrument_that_publishes_and_is_not_heard_is_named(
     spinning: Any, until: Callable[..., None], tmp_path: Path
 ) -> None:
-    spinning.add(recorder(spinning.context, tmp_path / "bag"))
+    """It need not have sent anything: a tracker with one beam sends nothing before it is aimed."""
+    node = spinning.add(recorder(spinning.context, tmp_path / "bag"))
+    for timer in node.timers:
+        timer.cancel()
     client = spinning.plain()
     hears = client.create_client(Trigger, "recorder/hears")
     assert hears.wait_for_service(15.0)
     assert hears.call(Trigger.Request()).success, "nobody publishes anything"
     publisher = client.create_publisher(JointState, "joint_states", 100)
-    until(publisher.get_subscription_count)
+    until(lambda: node.count_publishers("joint_states"))
     answer = hears.call(Trigger.Request())
     assert not answer.success
     assert answer.message == "nothing is heard yet of /joint_states"
-    publisher.publish(joint_state(0))
+    node._look()
     until(lambda: hears.call(Trigger.Request()).success)
+    until(publisher.get_subscription_count)
+    publisher.publish(joint_state(0))
+    until(lambda: node._bag.messages)
 
 
 def test_the_sequencer_waits_until_the_recorder_hears_and_has_its_bag(
@@ -215,14 +221,10 @@ def test_the_sequencer_waits_until_the_recorder_hears_and_has_its_bag(
     node, client, publisher = matched(spinning, until, tmp_path)
     user = Recorder(client, "recorder", 1.0)
     user.listen()
-    missing: list[str] = []
-    asking = threading.Thread(target=lambda: missing.append(user.missing(10.0)))
-    asking.start()
-    asking.join(0.5)
-    assert asking.is_alive(), "nothing has been heard"
-    publisher.publish(joint_state(0))
-    asking.join(10.0)
-    assert missing == [""]
+    client.create_publisher(PointStamped, "tracker/mp1", 100)
+    until(lambda: node.count_publishers("tracker/mp1"))
+    assert user.missing(10.0) == ""
+    assert "/tracker/mp1" in node._heard
     wanted = Wanted(tmp_path / "session" / "bag", "a" * 64, 0)
     assert user.record(wanted) == ""
     assert node._bag.path == wanted.directory

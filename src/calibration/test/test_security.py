@@ -192,7 +192,7 @@ def test_in_a_namespace_it_allows_what_the_nodes_do(
     spinning: Any, source_environment: dict[str, str], tmp_path: Path
 ) -> None:
     """In none it is seen where the shipped tree is."""
-    said = {"cell": CELL, "session": tmp_path / "session", "namespace": "left"}
+    said = {"cell": CELL, "session": tmp_path / "session", "namespace": "left", "tracker": "stream"}
     runner = TreeRunner(SIMULATED_CELL, source_environment, tmp_path, **said)
     try:
         runner.start()

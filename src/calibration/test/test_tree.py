@@ -29,7 +29,12 @@ def test_the_shipped_tree(spinning: Any, until: Any, source_environment: dict[st
     heard: list[Permission] = []
     client = spinning.plain("outside")
     client.create_subscription(Permission, PERMISSION.relative, heard.append, 100)
-    said = {"cell": CELL, "session": tmp_path / "session", "speed": 20.0}
+    said = {
+        "cell": CELL,
+        "session": tmp_path / "session",
+        "speed": 20.0,
+        "tracker": "stream",
+    }  # the policy knows its topics
     runner = TreeRunner(SIMULATED_CELL, source_environment, tmp_path, **said)
     try:
         runner.start()

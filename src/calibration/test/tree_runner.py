@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 import subprocess
 import threading
 import time
@@ -15,6 +16,14 @@ ROOT = Path(__file__).resolve().parents[3]
 INSTALL = ROOT / "install"
 SHOWN = 30  # lines of a log that a failed test shows
 STACKS = 2.0  # s, that a deaf process has for writing where it stands
+
+
+def free_port() -> int:
+    """Return a port of this machine that nobody serves."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        port: int = one.getsockname()[1]
+        return port
 
 
 class TreeRunner:
@@ -39,6 +48,8 @@ class TreeRunner:
         self._environment = {**environment, "PYTHONFAULTHANDLER": "1"}  # a deaf process says where it stands
         self._more = more or {}
         texts = {name: str(value) for name, value in said.items()}
+        if any(argument.name == "tracker_address" for argument in tree.arguments):
+            texts.setdefault("tracker_address", f"127.0.0.1:{free_port()}")
         self._values = values_of(tree, texts)
         own = files_of(self._values, str(INSTALL / "calibration" / "share" / "calibration"))
         self._files = (*map(Path, own), *files)

@@ -89,7 +89,6 @@ class OneBeam:
             if self.target is None or place is None:
                 self.target = None
                 return "ERROR beam broken"
-            self._sight = place / np.linalg.norm(place)
             return " ".join(["POINT", name, *(f"{value:.9f}" for value in place)])
 
     def _wait(self, done: Callable[[], bool]) -> bool:
