@@ -154,6 +154,19 @@ def test_tracker_behind_the_robot_is_respected(demo_cell: Cell) -> None:
     assert measurable(away, turned, rules)[0]
 
 
+def test_no_target_hides_another(plan: Plan, demo_cell: Cell) -> None:
+    """A tracker with one beam would find the nearer of two that stand on one line of sight."""
+    site = Site.of(chain_of(demo_cell), nominal_parameters(demo_cell), demo_cell)
+    assert site.tracker is not None
+    q = np.array([c.q for c in plan.configurations])
+    sight = np.moveaxis(positions(posture(site.chain, q), site.points), 2, 0) - site.tracker  # (m, p, 3)
+    for k, direction in enumerate(np.moveaxis(sight / np.linalg.norm(sight, axis=2, keepdims=True), 1, 0)):
+        aside = np.linalg.norm(np.cross(sight, direction[:, None]), axis=2)
+        assert np.delete(aside, k, axis=1).min() >= SpaceRules().beam
+    close = dataclasses.replace(site, points=site.points[:1] + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.02]]))
+    assert measurable(close, q, SpaceRules()).any(), "targets that are 20 mm apart can be measured"
+
+
 def test_operating_space(demo_cell: Cell) -> None:
     box = ((0.8, 2.4), (-1.2, 1.2), (0.5, 2.0))
     plan = make_plan(demo_cell, configurations=12, rules=PlanningRules(space=SpaceRules(box=box)))

@@ -1,7 +1,8 @@
 """A tracker with one beam: it is aimed at one reflector after the other, over TCP.
 
 It speaks the lines of `config/trackers/plain.yaml`, in m and in its own frame: `AIM POINT X Y Z` is answered by `OK`,
-`MEASURE POINT WINDOW` by `POINT POINT X Y Z` with its next reading; `ERROR WHY` is the answer where that cannot be.
+`MEASURE POINT WINDOW` by `POINT POINT X Y Z` with the mean of its readings over so many s; `ERROR WHY` is the answer
+where that cannot be.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class OneBeam:
         self._stepped = threading.Condition(lock)
         self._now = 0.0
         self._sight = np.array([1.0, 0.0, 0.0])
-        self._reading: tuple[float, Float1D | None] = (-np.inf, None)
+        self._readings: list[Float1D] = []
         self._closed = False
         self.target: int | None = None
 
@@ -41,7 +42,10 @@ class OneBeam:
 
     def read(self, place: Float1D | None) -> None:
         """Take what is read of the target now, (3,) m; None: the beam is broken.  To be called with the lock."""
-        self._reading = (self._now, place)
+        if place is None:
+            self.target = None
+        else:
+            self._readings.append(place)
 
     def close(self) -> None:
         """Let nobody wait any longer."""
@@ -56,7 +60,7 @@ class OneBeam:
             if len(words) == 5 and words[0] == "AIM" and words[1] in self._names:
                 return self._aim(np.array([float(word) for word in words[2:]]))
             if len(words) == 3 and words[0] == "MEASURE" and words[1] in self._names:
-                return self._measure(words[1])
+                return self._measure(words[1], float(words[2]))
         except ValueError as error:
             return f"ERROR {error}"
         return f"ERROR found {quoted(line.strip())}, expected AIM POINT X Y Z or MEASURE POINT WINDOW of {self._names}"
@@ -68,8 +72,8 @@ class OneBeam:
         sight = place / distance
         with self._stepped:
             self.target = None
-            turn = float(np.arccos(np.clip(sight @ self._sight, -1.0, 1.0)))
-            if not self._wait(lambda there=self._now + turn / SLEW + LOCK: self._now >= there):
+            there = self._now + float(np.arccos(np.clip(sight @ self._sight, -1.0, 1.0))) / SLEW + LOCK
+            if not self._wait(lambda: self._now >= there):
                 return ""
             self._sight = sight
             places = self._places()
@@ -80,16 +84,14 @@ class OneBeam:
             self.target = nearest
             return "OK"
 
-    def _measure(self, name: str) -> str:
+    def _measure(self, name: str, window: float) -> str:
         with self._stepped:
-            asked = self._now
-            if not self._wait(lambda: self._reading[0] > asked or self.target is None):
+            self._readings, end = [], self._now + window
+            if not self._wait(lambda: self.target is None or bool(self._now >= end and self._readings)):
                 return ""
-            place = self._reading[1]
-            if self.target is None or place is None:
-                self.target = None
+            if self.target is None:
                 return "ERROR beam broken"
-            return " ".join(["POINT", name, *(f"{value:.9f}" for value in place)])
+            return " ".join(["POINT", name, *(f"{value:.9f}" for value in np.mean(self._readings, axis=0))])
 
     def _wait(self, done: Callable[[], bool]) -> bool:
         while not (done() or self._closed):

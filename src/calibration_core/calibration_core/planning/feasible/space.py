@@ -33,6 +33,7 @@ class SpaceRules:
         clearance: Share of the reach kept free above the floor.
         body: Radius of the arm, as a share of the reach: points stay outside, and so do lines of sight.
         distance: m, safety distance between bodies, at rest and on the way.
+        beam: m, kept free around a line of sight of other targets: a reflector of 1.5 inches and the beam.
         tracker_range: m, nearest and farthest distance from tracker to point; what the cell file states goes before.
         box: m, ((low, high),) * 3 in the base frame for the measurement points: the operating space; None: all.
         task_radius: m, how far from a place of the task the middle of the measurement points may be.
@@ -44,6 +45,7 @@ class SpaceRules:
     clearance: float = 0.08
     body: float = 0.06
     distance: float = 0.03
+    beam: float = 0.025
     tracker_range: tuple[float, float] = (1.0, 30.0)
     box: tuple[tuple[float, float], ...] | None = None
     task_radius: float = 0.25
@@ -202,6 +204,11 @@ def _visible(site: Site, at: Posture, rules: SpaceRules) -> Bool1D:
         seen &= ~_behind(points, tracker, pose, size).any(axis=0)
     for start, end in _arm(site, at):
         seen &= (_segment_distance(points, tracker, start, end) >= rules.body * site.chain.reach).all(axis=0)
+    for one, other in itertools.combinations(range(len(points)), 2):
+        free = min(rules.beam, 0.5 * float(np.linalg.norm(site.points[one] - site.points[other])))
+        near, far = np.sort(distance[[one, other]], axis=0)
+        angle = np.einsum("am,am->m", points[one] - tracker[one], points[other] - tracker[other]) / (near * far)
+        seen &= near * np.sqrt(np.maximum(1.0 - angle**2, 0.0)) >= free
     return np.asarray(seen)
 
 
