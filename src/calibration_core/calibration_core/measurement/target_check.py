@@ -1,7 +1,7 @@
 """Whether the tracker's targets are where they should be: their distances, and how they move under the load.
 
 Targets on one flange are a rigid body.  So in every step their distances are those of the session; from one unloaded
-step to the next they travel as far as the joint angles say; a load moves them as the joints yield, each between two
+step to the next they travel as the joint angles say; a load moves them as the joints yield, each between two
 thirds and twice as far as its believed stiffness says; and once the load is gone they stand where they stood before.
 A target that moves while it is measured scatters more than the session's, and its mean is of no place at all.
 Positions are compared within a configuration and a session alone: no frame has to be calibrated for that.
@@ -12,7 +12,7 @@ from __future__ import annotations
 import collections
 import dataclasses
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -31,7 +31,7 @@ SOFTER, STIFFER = 2.0, 1.0 / 1.5  # of the believed compliance: stiffness within
 RETURN = 0.01  # share of the largest deflection, by which a robot whose gears have no hysteresis misses its place
 ASIDE = 30.0  # degrees, from which the direction of a movement is told besides its size
 TAKEN = 1.5  # times what somebody has answered for
-TRAVEL, TRAVEL_SHARE = 0.05, 0.1  # m, and of the way: places on the flange and links before any calibration
+TRAVEL = 0.05  # m, of places on the flange and of links before any calibration
 SPREAD = 0.03  # m, of the places that are known in both frames, across their line: axes are known to some degrees
 KEPT = 50  # distances of a pair, the newest: several configurations' worth
 MM = 1e3
@@ -131,19 +131,22 @@ class TargetCheck:
             known.append(_apart(positions, pair))
 
     def fault(self, seen: Targets) -> str:
-        """Say what is wrong with what is seen; empty: nothing is."""
-        found = self._found(seen)
-        if not found:
-            return ""
+        """Say what is wrong with what is seen; empty: nothing is.
+
+        Another way since the last configuration alone is no fault: before the calibration nobody knows where a target
+        sits.  Names are exchanged where the other ones fit, and all targets stand nearer to where they should by more.
+        """
+        found, off = self._found(seen), self._travelled_off(seen)
         complaint = self._complaint
         names = list(seen.positions)
         for pair in itertools.combinations(sorted(names), 2):
             swapped = dict(zip(pair, reversed(pair), strict=True))
-            if not self._found(seen.renamed([swapped.get(name, name) for name in names])):
+            other = seen.renamed([swapped.get(name, name) for name in names])
+            if (found or off > self._travelled_off(other) + TRAVEL) and not self._found(other):
                 self._complaint = ("shape", 0.0)
                 return f"{pair[0]} and {pair[1]} are exchanged: look at what the tracker is locked on"
         self._complaint = complaint
-        return found if complaint[0] != "travel" else ""
+        return found
 
     def _found(self, seen: Targets) -> str:
         """Say what is wrong where every target carries its own name."""
@@ -295,30 +298,39 @@ class TargetCheck:
         ends = np.stack([SOFTER * each, STIFFER * each])
         return each.sum(axis=0), ends.min(axis=0).sum(axis=0), ends.max(axis=0).sum(axis=0)
 
-    def _travelled(self, seen: Targets) -> str:
-        """Hold the way from the last unloaded step against the joint angles, where there was one.
+    def _travelled_off(self, seen: Targets) -> float:
+        """Return how far the ways from the last configuration are from what the joint angles say, m, at most.
 
-        A way of another length alone is no fault: before the calibration nobody knows where a target sits.
+        Without axes of the base, lengths alone are compared; 0 within a configuration, and where there was none before.
         """
+        last = self._last
+        if last is None or self._first is not None:
+            return 0.0
+        axes, off = self._turned(), 0.0
+        for _, way, usual in self._ways(last, seen):
+            other = np.linalg.norm(way) - np.linalg.norm(usual) if axes is None else np.linalg.norm(way - axes @ usual)
+            off = max(off, abs(float(other)))
+        return off
+
+    def _ways(self, last: Targets, seen: Targets) -> Iterator[tuple[str, Float1D, Float1D]]:
+        """Give each target's way since the last unloaded step, (3,) m: as seen, and by the joint angles, base frame."""
+        before, now = self._places(last.q, last.positions), self._places(seen.q, last.positions)
+        for name in filter(last.positions.__contains__, seen.positions):
+            yield name, seen.positions[name] - last.positions[name], now[name] - before[name]
+
+    def _travelled(self, seen: Targets) -> str:
+        """Say which target has not moved since the last unloaded step, though the joints have."""
         last = self._last
         if last is None:
             return ""
-        before, now = self._places(last.q, last.positions), self._places(seen.q, last.positions)
-        odd = ""
-        for name in filter(last.positions.__contains__, seen.positions):
-            way = seen.positions[name] - last.positions[name]
-            found, usual = float(np.linalg.norm(way)), float(np.linalg.norm(now[name] - before[name]))
+        for name, way, expected in self._ways(last, seen):
+            usual = float(np.linalg.norm(expected))
             noise = self._covariance(seen, name) + self._covariance(last, name)
-            moved = f"{found * MM:.1f} mm since the last configuration where {usual * MM:.0f} is expected"
-            words = f"{name} has moved by {moved}"
             if usual > TRAVEL and not _sticks_out(way, noise, 0.0):
                 self._complaint = ("shape", 0.0)
-                return f"{words}: the tracker holds an old value"
-            if abs(found - usual) > TRAVEL + TRAVEL_SHARE * usual:
-                odd = words
-        if odd:
-            self._complaint = ("travel", 0.0)
-        return odd
+                moved = f"{np.linalg.norm(way) * MM:.1f} mm since the last configuration where {usual * MM:.0f}"
+                return f"{name} has moved by {moved} is expected: the tracker holds an old value"
+        return ""
 
 
 def _size(covariance: Float2D) -> float:
