@@ -214,6 +214,17 @@ def test_numbers_in_another_order_and_missing_steps(cell: Cell, recorded: Readin
     assert found.steps.slope == pytest.approx(1.15, abs=0.02)
 
 
+def test_steps_of_what_one_of_the_two_alone_holds_are_not_compared(
+    cell: Cell, recorded: Readings, simulated: Readings
+) -> None:
+    """As visits to the reference posture, which are numbered like steps."""
+    first = int(recorded.configuration.min())
+    visits = dataclasses.replace(recorded, step=np.where(recorded.configuration == first, 7, recorded.step))
+    found = kinds(visits, simulated.select(simulated.configuration != first), cell)
+    assert "steps" not in found
+    assert "configurations" in found
+
+
 def test_nothing_in_common(cell: Cell, recorded: Readings) -> None:
     other = loaded_readings(cell, 99)
     found = compare(recorded, other, cell)

@@ -222,7 +222,7 @@ def _paired(recorded: Readings, simulated: Readings, cell: Cell) -> _Pairing:
     if links is not None and pairs and not all(link.plain and link.joint == i for i, link in enumerate(links)):
         side = _joint_side(recorded.select(left), simulated.select(right), cell)
         found = [*joint_differences(links, cell.robot.joints, side), *found]
-    found += [*_steps(recorded, simulated), *_points(recorded, simulated)]
+    found += [*_steps(recorded, ours[a], simulated, theirs[b]), *_points(recorded, simulated)]
     return _Pairing(left, right, tuple(found), links or ())
 
 
@@ -234,8 +234,9 @@ def _keys(readings: Readings, number: dict[int, int]) -> list[tuple[int, int, st
     ]
 
 
-def _steps(recorded: Readings, simulated: Readings) -> tuple[Difference, ...]:
-    ours, theirs = (set(map(int, r.step)) for r in (recorded, simulated))
+def _steps(recorded: Readings, common: Int1D, simulated: Readings, partners: Int1D) -> tuple[Difference, ...]:
+    of = ((recorded, common), (simulated, partners))
+    ours, theirs = (set(map(int, r.step[np.isin(r.configuration, kept)])) for r, kept in of)
     if ours == theirs:
         return ()
     text = f"The recording has {len(ours)} steps per configuration, the simulation {len(theirs)}; common ones compare."
