@@ -74,8 +74,8 @@ def compared_summary(diagnosis: Diagnosis, compared: Comparison, light: Sequence
         lines += improved_lines(compared.improved)
     lines += [one.text for one in compared.witnesses if one.left is not None]
     lines += [compared.pattern] if compared.pattern else []
-    said = " ".join(light)
-    lines += [f"anomaly: {one.kind}: {one.text}" for one in diagnosis.anomalies if one.text.rstrip(".") not in said]
+    shown = " ".join(light)
+    lines += [f"anomaly: {one.kind}: {one.text}" for one in diagnosis.anomalies if one.text.rstrip(".") not in shown]
     lines += [diagnosis.rest.text] if diagnosis.rest.significant else []
     return lines + [note.line for note in diagnosis.remarks]
 
