@@ -32,7 +32,6 @@ class Watch:
         self.cancelled = 0
         self.node.create_service(CancelGoal, "move/_action/cancel_goal", self._on_cancel)
         self.emergency = Emergency(self.node, CancelGoals(self.node, "move", lambda *_: None), AGE, str(trace))
-        self.emergency.listen()
         self.pulse = spinning.plain().create_publisher(MotionPulse, MOTION_PULSE.relative, MOTION_PULSE.qos)
         self.counted = itertools.count()
 

@@ -220,7 +220,6 @@ def test_the_sequencer_waits_until_the_recorder_hears_and_has_its_bag(
 ) -> None:
     node, client, publisher = matched(spinning, until, tmp_path)
     user = Recorder(client, "recorder", 1.0)
-    user.listen()
     client.create_publisher(PointStamped, "tracker/mp1", 100)
     until(lambda: node.count_publishers("tracker/mp1"))
     assert user.missing(10.0) == ""
@@ -283,7 +282,6 @@ def test_a_recorder_that_lost_its_disk_goes_on_by_itself(
     monkeypatch.setattr(module, "AGAIN", 0.2)
     node, client, publisher = matched(spinning, until, tmp_path)
     user = Recorder(client, "recorder", 1.0)
-    user.listen()
     wanted = Wanted(tmp_path / "session" / "bag", "a" * 64, 0, "s@1")
     until(lambda: user.record(wanted) == "")
     publisher.publish(joint_state(0))
@@ -311,7 +309,6 @@ def test_a_recorder_that_lost_its_disk_goes_on_by_itself(
 def test_a_bag_that_is_deleted_is_told_at_once(spinning: Any, until: Callable[..., None], tmp_path: Path) -> None:
     _, client, _ = matched(spinning, until, tmp_path)
     user = Recorder(client, "recorder", 1.0)
-    user.listen()
     until(lambda: user.record(Wanted(tmp_path / "session" / "bag", "a" * 64, 0)) == "")
     shutil.rmtree(tmp_path / "session")
     until(lambda: "has closed its bag" in user.fault(time.monotonic()))
@@ -325,7 +322,6 @@ def test_readings_of_another_session_are_named_and_not_recorded(
     readings = client.create_publisher(Reading, "calibration/reading", READING.qos)
     until(readings.get_subscription_count)
     user = Recorder(client, "recorder", 1.0)
-    user.listen()
     until(lambda: user.record(Wanted(tmp_path / "session" / "bag", "a" * 64, 0, "mine@1")) == "")
     until(readings.get_subscription_count)
     readings.publish(Reading(header=to_header(START), session="old@1"))

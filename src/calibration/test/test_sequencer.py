@@ -238,7 +238,7 @@ def test_a_lost_instrument_stops_a_motion_even_while_a_disk_is_slow(
     time.sleep(0.2)
     assert trace.read_text().count("stop") == 1
     check.publish(SampleCheck(name="mp1", problem=SampleCheck.FINE))
-    until(lambda: not node._equipment.fault(time.monotonic()))
+    until(lambda: not node.equipment.fault(time.monotonic()))
     slow_disk.free()  # the runner looks when nothing is lost any more
     until(lambda: node.runner.sequence.paused)
     handle.cancel_goal_async()
@@ -663,7 +663,7 @@ def test_a_wrench_that_two_publish_pauses_the_run(
     time.sleep(0.5)
     assert heard[-1].paused
     checks.publish(SampleCheck(name="wrench", problem=SampleCheck.FINE))
-    until(lambda: not node._equipment.fault(time.monotonic()))
+    until(lambda: not node.equipment.fault(time.monotonic()))
     assert operator.says("resume").success
     until(lambda: not heard[-1].paused)
     assert operator.says("stop").success

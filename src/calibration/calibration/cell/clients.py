@@ -11,13 +11,12 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from calibration_interfaces.action import ApplyLoad, Measure
+from calibration_interfaces.action import Measure
 from calibration_interfaces.msg import Outcome
 from rclpy.node import Node
 
 from calibration.asks import Ended, Server
-from calibration.conversions import Mean, from_average, to_stamp, to_wrench
-from calibration_core.timeseries import Float1D
+from calibration.conversions import Mean, from_average, to_stamp
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,16 +85,6 @@ class Instruments:
             goal = Measure.Goal(names=names, window=window, timeout=timeout, since=to_stamp(since))
             server.ask(goal, on_answer(instrument), wait, feedback=on_feedback(instrument))
 
-    def cancel(self) -> None:
-        """Give up what is being measured."""
-        for server in self.servers.values():
-            server.drop()
-
-    def tick(self, now: float) -> None:
-        """Give up instruments that do not answer."""
-        for server in self.servers.values():
-            server.tick(now)
-
 
 def _together(results: dict[str, Any]) -> Measured:
     faults = []
@@ -109,23 +98,3 @@ def _together(results: dict[str, Any]) -> Measured:
     points = tuple(from_average(average) for average in results["tracker"][0].averages)
     wrench = results.get("force_torque")
     return Measured(points, None if wrench is None else from_average(wrench[0].averages[0]))
-
-
-class LoadDevice:
-    """A load device with the action `ApplyLoad`."""
-
-    def __init__(self, node: Node, name: str) -> None:
-        """Take the action's name."""
-        self.server = Server(node, ApplyLoad, name)
-
-    def apply(self, wrench: Float1D, timeout: float, wait: float, answered: Callable[[bool, str], None]) -> None:
-        """Ask for a wrench (6,) N and N*m, base axes, at the wrench point; timeouts as for `Instruments.measure`."""
-
-        def take(answer: Any, text: str) -> None:
-            if answer is None:
-                answered(False, text)
-            else:
-                outcome = answer.result.outcome
-                answered(outcome.code == Outcome.OK, str(outcome.text))
-
-        self.server.ask(ApplyLoad.Goal(target=to_wrench(wrench), timeout=timeout), take, wait)

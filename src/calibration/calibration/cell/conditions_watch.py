@@ -41,7 +41,7 @@ class ConditionsWatch:
     """
 
     def __init__(self, node: Any) -> None:
-        """Offer the topic of the conditions."""
+        """Offer the topic of the conditions, and listen to thermometer and robot state."""
         self._node = node
         self.scaling = math.nan
         self._thermometer = TemperatureHistory()
@@ -52,10 +52,6 @@ class ConditionsWatch:
         self._looked = self._sent = -math.inf
         topics = node.cell.topics
         self._publisher = node.create_publisher(Conditions, topics.conditions.lstrip("/"), profile(CONDITIONS_QUALITY))
-
-    def listen(self) -> None:
-        """Listen to thermometer and robot state."""
-        node, topics = self._node, self._node.cell.topics
         newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._temperatures = Waiting(node, Temperature, topics.temperature.lstrip("/"), newest)
         kept = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)

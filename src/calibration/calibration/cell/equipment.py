@@ -47,7 +47,7 @@ class Recorder:
     """Watches the recorder; without one it asks for nothing, and finds no fault."""
 
     def __init__(self, node: Any, name: str, max_age: float) -> None:
-        """Prepare; `listen` begins.
+        """Listen to its signs of life.
 
         Args:
             node: The sequencer.
@@ -62,12 +62,7 @@ class Recorder:
         if name:
             self._record = Server(node, Record, f"{name}/record")
             self._triggers = {what: Server(node, Trigger, f"{name}/{what}") for what in ("hears", "close")}
-
-    def listen(self) -> None:
-        """Listen to its signs of life."""
-        if self.name:
-            topic = RECORDING
-            self._node.create_subscription(topic.message, topic.relative, self._on_state, topic.qos)
+            node.create_subscription(RECORDING.message, RECORDING.relative, self._on_state, RECORDING.qos)
 
     def _on_state(self, message: Any) -> None:
         self._state, self._heard = message, time.monotonic()
@@ -174,10 +169,11 @@ class Equipment:
     A node that has never been heard is not missed: instruments may be served by somebody else.
     """
 
-    def __init__(self, recorder: Recorder, description: DescriptionWatch, max_age: float) -> None:
-        """Prepare; `listen` begins.
+    def __init__(self, node: Any, recorder: Recorder, description: DescriptionWatch, max_age: float) -> None:
+        """Listen to the instruments that the sequencer's parameters name, and to the identification.
 
         Args:
+            node: The sequencer.
             recorder: Of the run.
             description: What the driver says of the robot.
             max_age: s of wall time; a node without a sign of life for longer is lost.
@@ -185,10 +181,6 @@ class Equipment:
         self._recorder, self._description, self._max_age = recorder, description, max_age
         self._two_sources: dict[str, str] = {}  # stream -> who publish it
         self._heard: dict[str, float] = {}  # node -> s of the steady clock
-
-    def listen(self, node: Any) -> None:
-        """Listen to the recorder, the instruments that the sequencer's parameters name, and the identification."""
-        self._recorder.listen()
         instruments = [node.value(name).rpartition("/")[0] for name in ("tracker", "force_torque")]
         wanted: dict[str, dict[str, str]] = {}  # topic -> name of a node -> with the namespace, as the parameter has it
         for name in [*filter(None, instruments), "identification"]:

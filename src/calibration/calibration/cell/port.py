@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from calibration_interfaces.action import ApplyLoad
 from calibration_interfaces.msg import Outcome, SessionEvent
 
-from calibration.cell.clients import Instruments, LoadDevice, Measured
+from calibration.cell.clients import Measured
 from calibration.cell.reading_checks import PresentLoad, ReadingChecks, ReadingError, confirmed_readings, to_reading
-from calibration.conversions import to_header, to_step
-from calibration.motion.arrival import Joints
+from calibration.conversions import to_header, to_step, to_wrench
 from calibration_core.errors import SessionGoneError
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.load_time import LoadTime
@@ -63,38 +63,9 @@ class CellPort:
         confirmed: Readings on the disk.
     """
 
-    def __init__(
-        self,
-        node: Any,
-        session: Session,
-        joints: Joints,
-        instruments: Instruments,
-        load_device: LoadDevice | None,
-        checks: ReadingChecks,
-        *,
-        equipment: Any,
-        temperature: Callable[[], float],
-        progress: Callable[[], None],
-        scaling: Callable[[], float],
-    ) -> None:
-        """Take what the cell is made of.
-
-        Args:
-            node: The sequencer: its clock, parameters and publishers.
-            session: Open for writing.
-            joints: The joint states.
-            instruments: Tracker and force/torque sensor.
-            load_device: None: an operator changes the load.
-            checks: What readings and loads are held against.
-            equipment: The `Equipment` of the cell.
-            temperature: Returns the last temperature, degrees Celsius, or NaN.
-            progress: Tells how far it is.
-            scaling: Returns the controller's speed scaling, or NaN.
-        """
-        self._node, self.session, self._joints = node, session, joints
-        self._instruments, self._load_device, self._checks = instruments, load_device, checks
-        self._equipment = equipment
-        self._temperature, self.progress, self.scaling = temperature, progress, scaling
+    def __init__(self, node: Any, session: Session, checks: ReadingChecks) -> None:
+        """Take the sequencer with all that it has of the cell, a session that is open for writing, and the checks."""
+        self._node, self.session, self._checks = node, session, checks
         self._plan = session.plan_sha256
         self._identity = session.identity
         self._unwritten: list[Callable[[], object]] = []  # while the session's files are gone
@@ -118,15 +89,18 @@ class CellPort:
             self._checks.loading(f"{place} of {self.session.directory}")
         if not command.unknown:
             self._checks.load_begins()
-        if self._load_device is not None:
+        device = self._node.load_device
+        if device is not None:
 
-            def take(success: bool, text: str) -> None:  # as every answer to a load
-                if success:  # the sensor has to agree, where there is one
+            def take(answer: Any, text: str) -> None:  # as every answer to a load
+                outcome = None if answer is None else answer.result.outcome
+                if outcome is not None and outcome.code == Outcome.OK:  # the sensor has to agree, where there is one
                     self._reached = Reached(command, answered, LoadTime(self.seconds(), time.monotonic()))
                 else:
-                    answered(success, text)
+                    answered(False, text if outcome is None else str(outcome.text))
 
-            self._load_device.apply(command.wrench, self._node.value("load.timeout"), PATIENCE, take)
+            target, timeout = to_wrench(command.wrench), self._node.value("load.timeout")
+            device.ask(ApplyLoad.Goal(target=target, timeout=timeout), take, PATIENCE)
             return
         if command.unknown:
             why = self._checks.pulls() or self._checks.load_left() or "a load may be on"
@@ -196,7 +170,7 @@ class CellPort:
         fault = "" if of_device else self._checks.load(load.command.wrench, left=load.command.unknown)
         silent = self._checks.silent  # its node may live: what pulls is not known, and nothing is at odds with it
         elapsed = load.time.looked(self.seconds(), now, lost=silent or bool(self.lost(now)))
-        if fault and not elapsed.over(self._equipment.ready):
+        if fault and not elapsed.over(self._node.equipment.ready):
             if silent and not load.asked:
                 self.ask(fault.removesuffix(", then confirm again"))
             self._reached = replace(load, time=elapsed, asked=load.asked or silent)
@@ -231,13 +205,13 @@ class CellPort:
     @property
     def averaged(self) -> float:
         """Share of the averaging window of the reading under way, 0 to 1; NaN: nothing is averaged."""
-        return self._instruments.averaged
+        return self._node.instruments.averaged
 
     def measure(self, answered: Callable[[Measured], None]) -> None:
         """Average over one window, which begins no earlier than the robot was last seen to stand."""
         window, timeout = self._node.value("window"), self._node.value("measure_timeout")
-        since = self._joints.until
-        self._instruments.measure(self._node.cell.points, window, timeout, since, PATIENCE, answered)
+        since = self._node.joints.until
+        self._node.instruments.measure(self._node.cell.points, window, timeout, since, PATIENCE, answered)
 
     def confirm(self, command: m.TakeReading, measured: Measured) -> None:
         """Put the readings of one step on the disk, then announce them.
@@ -252,8 +226,8 @@ class CellPort:
         self.write()
         self._checks.reading(command, measured)
         place = (command.configuration, command.step)
-        temperature = self._temperature()
-        rows = confirmed_readings(*place, measured.points, measured.wrench, self._joints, temperature)
+        temperature = self._node.conditions.temperature
+        rows = confirmed_readings(*place, measured.points, measured.wrench, self._node.joints, temperature)
         row = self._row(command.configuration)
         self.session.record(row, rows)
         if command.configuration == REFERENCE_NUMBER:
@@ -336,25 +310,32 @@ class CellPort:
 
     # --- stopping, and requests without an answer --------------------------------------------------------------------
 
+    def scaling(self) -> float:
+        """Return the share of the programmed speed at which the controller moves; NaN: not known."""
+        return float(self._node.conditions.scaling)
+
+    def progress(self) -> None:
+        """Tell how far it is."""
+        self._node.progress()
+
     def ready(self, since: float) -> bool:
         """Tell whether all that a reading needs has given a sign of life since then, s of the steady clock."""
-        return bool(self._equipment.ready(since))
+        return bool(self._node.equipment.ready(since))
 
     def recorded(self, since: float) -> bool:
         """Tell whether the recorder has."""
-        return bool(self._equipment.recorded(since))
+        return bool(self._node.equipment.recorded(since))
 
     def lost(self, now: float) -> str:
         """Say which recorder or instrument has fallen silent, or that the session's files are gone; else empty."""
-        return "; ".join(filter(None, [str(self._equipment.fault(now)), self.session.fault()]))
+        return "; ".join(filter(None, [str(self._node.equipment.fault(now)), self.session.fault()]))
 
     def look(self, now: float) -> None:
         """Give up requests that are not answered; bring a recorder that is closed back to the bag."""
-        self._equipment.tick(now)
-        self._instruments.tick(now)
+        self._node.equipment.tick(now)
         self._look_at_load(now)
-        if self._load_device is not None:
-            self._load_device.server.tick(now)
+        for server in self._node.servers:
+            server.tick(now)
 
 
 def logged(record: m.Record) -> str:

@@ -170,17 +170,13 @@ class DescriptionWatch:
     """
 
     def __init__(self, node: Any) -> None:
-        """Prepare; `listen` begins.  `node` is the sequencer, with its cell."""
+        """Listen; who comes late gets the last description.  `node` is the sequencer, with its cell."""
         self._node, self.topic = node, node.cell.topics.robot_description
         self.fault = ""
         self._text: str | None = None
         self._thread: threading.Thread | None = None
-
-    def listen(self) -> None:
-        """Listen; who comes late gets the last description."""
         kind, quality = message_class(TEXT_TYPE), profile(Quality.STATE)
-        self._text, self.fault = None, ""
-        self._node.create_subscription(kind, self.topic.lstrip("/"), self._on_description, quality)
+        node.create_subscription(kind, self.topic.lstrip("/"), self._on_description, quality)
 
     def _on_description(self, message: Any) -> None:
         if message.data == self._text:

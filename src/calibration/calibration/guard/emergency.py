@@ -29,7 +29,7 @@ class Emergency:
     """Stops what nobody watches; times are s of the steady clock."""
 
     def __init__(self, node: CalibrationNode, stop: StopPath, max_age: float, trace: str) -> None:
-        """Prepare.
+        """Listen to the sequencer's sign of life.
 
         Args:
             node: The guard.
@@ -37,15 +37,12 @@ class Emergency:
             max_age: s, of the sign of life.
             trace: File for the monotonic clock's ns of every stop; empty: none.
         """
-        self._node, self._stop, self._max_age = node, stop, max_age
+        self._node, self._stop = node, stop
         self._trace = Path(trace) if trace else None
         self._reported = ""
-
-    def listen(self) -> None:
-        """Listen to the sequencer's sign of life."""
-        self._watch = MotionWatch(self._max_age, can_stop=self._stop.how is not RequestedStop.NONE)
+        self._watch = MotionWatch(max_age, can_stop=stop.how is not RequestedStop.NONE)
         every = QoSProfile(depth=100)  # a stranger's signs of life do not push out those of the sequencer
-        subscribe_to_samples(self._node, MotionPulse, MOTION_PULSE.relative, self._on_pulse, every)
+        subscribe_to_samples(node, MotionPulse, MOTION_PULSE.relative, self._on_pulse, every)
 
     def _on_pulse(self, message: MotionPulse) -> None:
         self._watch.on_pulse(message.identity, message.count, time.monotonic(), moving=message.moving)

@@ -108,7 +108,6 @@ class GuardNode(CalibrationNode):
         self._state_sent = -math.inf
         self._clock_watch = ClockWatch(self.value("clock_jump"))
         self._speak()
-        self._emergency.listen()
         self._listen()
 
     def _speak(self) -> None:

@@ -16,7 +16,7 @@ from collections.abc import Sequence as Arguments
 from pathlib import Path
 from typing import Any
 
-from calibration_interfaces.action import RunPlan
+from calibration_interfaces.action import ApplyLoad, RunPlan
 from calibration_interfaces.msg import MeasurementStep, MotionPulse, Outcome, Permission, SessionEvent
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -24,8 +24,8 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from calibration.asks import callers, succeeded
-from calibration.cell.clients import Instruments, LoadDevice
+from calibration.asks import Server, callers, succeeded
+from calibration.cell.clients import Instruments
 from calibration.cell.conditions_watch import HEARD, ConditionsWatch
 from calibration.cell.equipment import Equipment, Recorder, Wanted
 from calibration.cell.port import CellPort
@@ -94,6 +94,9 @@ class SequencerNode(CalibrationNode):
         watch: The guard's word.
         runner: Runs the procedure; None while no plan is being measured, and likewise `port`.
         conditions: Judges the conditions of the standard.
+        joints: The joint states.
+        instruments: Tracker and force/torque sensor; `load_device` is None where an operator changes the load.
+        equipment: What else a measurement needs.
     """
 
     OWNER = "sequencer"
@@ -137,15 +140,15 @@ class SequencerNode(CalibrationNode):
             trace=self.value("trace"),
         )
         by_device = self.value("load.by") == DEVICE
-        self._load_device = LoadDevice(self, self.value("load.interface")) if by_device else None
-        self._instruments = Instruments(self, self.value("tracker"), self.value("force_torque"))
+        self.load_device = Server(self, ApplyLoad, self.value("load.interface")) if by_device else None
+        self.instruments = Instruments(self, self.value("tracker"), self.value("force_torque"))
+        self.servers = [*self.instruments.servers.values(), *([self.load_device] if self.load_device else [])]
         self.conditions = ConditionsWatch(self)
         self.feedback = Feedback(self, advise=self.value("progress"))
         self._speak()
-        self._joints = Joints(arrival_rules(self), keep=60.0 + self.value("reading_limit"))
+        self.joints = Joints(arrival_rules(self), keep=60.0 + self.value("reading_limit"))
         self.watch = PermissionWatch(self.value("permission_age"))
         self._wrench = WrenchWatch(self) if self.value("force_torque") else None
-        self.conditions.listen()
         self._listen()
 
     def _speak(self) -> None:
@@ -160,7 +163,7 @@ class SequencerNode(CalibrationNode):
         self.runs = RunAction(self, self._measure, self._against, self._stop_motion)
         self._recorder = Recorder(self, self.value("recorder"), self.value("recorder_age"))
         self._description = DescriptionWatch(self)
-        self._equipment = Equipment(self._recorder, self._description, self.value("instrument_age"))
+        self.equipment = Equipment(self, self._recorder, self._description, self.value("instrument_age"))
 
     def _listen(self) -> None:
         newest = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -172,13 +175,11 @@ class SequencerNode(CalibrationNode):
         silence = SubscriptionEventCallbacks(deadline=lambda _: self._on_silence())
         self.create_subscription(Permission, PERMISSION.relative, self._on_permission, pulse, event_callbacks=silence)
         self._timer = self.create_timer(ALONE_PULSE, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._description.listen()
         quality = QoSProfile(depth=100)  # what was said before belongs to no run of ours
         self.create_subscription(SessionEvent, EVENT.relative, self._on_event, quality)
-        self._equipment.listen(self)
 
     def _course(self) -> tuple[Float1D, Float1D, float] | None:
-        return self._joints.course(self.now_ns())
+        return self.joints.course(self.now_ns())
 
     # --- what arrives ------------------------------------------------------------------------------------------------
 
@@ -186,7 +187,7 @@ class SequencerNode(CalibrationNode):
         for payload in self._joint_states.take():
             sample = self._reader.read(payload)
             if sample is not None:
-                self._joints.add(sample[0] or self.now_ns(), sample[1])
+                self.joints.add(sample[0] or self.now_ns(), sample[1])
         self.conditions.take()
         if self._wrench is not None:
             self._wrench.take()
@@ -255,7 +256,7 @@ class SequencerNode(CalibrationNode):
         self._take_streams()
         runner = self.runner
         moving = runner is not None and runner.moving
-        lost = self._equipment.fault(now) if moving else ""
+        lost = self.equipment.fault(now) if moving else ""
         if runner is not None and lost and not self._lost and self._interrupt():
             runner.post(Call(lambda: runner.lose(lost)))
         self._lost = lost
@@ -287,9 +288,8 @@ class SequencerNode(CalibrationNode):
             return self._run(goal)
         finally:
             goal.end()
-            self._instruments.cancel()
-            if self._load_device is not None:
-                self._load_device.server.drop()
+            for server in self.servers:
+                server.drop()
             self._recorder.close()
 
     def _run(self, goal: Goal) -> Any:
@@ -357,27 +357,17 @@ class SequencerNode(CalibrationNode):
             completed=frozenset(session.completed),
             given_up=given_up,
             visits=session.reference_visits,
-            by_device=self._load_device is not None,
-            loaded=self._load_device is not None or memory.left != "",
+            by_device=self.load_device is not None,
+            loaded=self.load_device is not None or memory.left != "",
         )
-        self.port = port = CellPort(
-            self,
-            session,
-            self._joints,
-            self._instruments,
-            self._load_device,
-            ReadingChecks(self.cell, plan, self._joints, self._wrench, memory, self.now_ns),
-            equipment=self._equipment,
-            temperature=lambda: self.conditions.temperature,
-            progress=self._progress,
-            scaling=lambda: self.conditions.scaling,
-        )
+        checks = ReadingChecks(self.cell, plan, self.joints, self._wrench, memory, self.now_ns)
+        self.port = port = CellPort(self, session, checks)
         self.runner = runner = Runner(
             goal,
             sequence,
             port,
             self._backend,
-            self._joints,
+            self.joints,
             self.watch,
             self.monitored,
             self._limits,
@@ -393,12 +383,11 @@ class SequencerNode(CalibrationNode):
         """Look for everything that a run needs, before anything moves; return all that is not there."""
         wait = self.value("server_wait")
         end = time.monotonic() + wait
-        servers = [*self._instruments.servers.values(), *([self._load_device.server] if self._load_device else [])]
         topic = self.cell.topics.joint_states
         checks: list[Callable[[], str]] = [
             self._backend.missing,
-            *(server.missing for server in servers),
-            lambda: "" if self._joints.latest is not None else f"no joint states on {topic}",
+            *(server.missing for server in self.servers),
+            lambda: "" if self.joints.latest is not None else f"no joint states on {topic}",
         ]
         absent = [self._prepared(goal, wait)]
         goal.until(lambda: not any(check() for check in checks), left(end))
@@ -415,7 +404,8 @@ class SequencerNode(CalibrationNode):
                 return f"{server.name}: {text or 'refused'}"
         return ""
 
-    def _progress(self) -> None:
+    def progress(self) -> None:
+        """Judge the conditions and tell how far a run is, now and then; in the runner's thread."""
         runner, port = self.runner, self.port
         if runner is not None and port is not None:
             self.conditions.look(port, runner)
