@@ -345,13 +345,6 @@ def test_what_is_read_from_the_cell_file_holds(spinning: Any, until: Any, tmp_pa
     until(cell.why(Permission.OVER_SPEED))
 
 
-def test_the_last_word_is_no(spinning: Any, until: Any) -> None:
-    cell = Cell(spinning)
-    until(cell.permitted)
-    cell.guard.stop()
-    until(cell.why(Permission.STOPPING))
-
-
 def ends_after(cell: Cell) -> float:
     began = time.monotonic()
     cell.guard.stop()

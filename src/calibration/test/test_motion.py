@@ -16,14 +16,13 @@ pytest.importorskip("calibration_interfaces")
 
 from action_msgs.srv import CancelGoal
 from calibration_interfaces.action import MoveTo
-from calibration_interfaces.msg import Outcome, Permission
+from calibration_interfaces.msg import Outcome
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from calibration.asks import Call, parse_call, succeeded, wait_until
-from calibration.cell.watches import SILENT, PermissionWatch
 from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.motion.backends import (
     ACCEPT_TIME,
@@ -150,19 +149,6 @@ def test_the_next_stage_is_taken_until_the_robot_stands(spinning: Any, until: An
     assert stop.under_way
     stop.advance(20.1, stands)
     assert not stop.under_way
-
-
-def test_the_guards_silence_is_no() -> None:
-    watch = PermissionWatch(0.1)
-    assert watch.at(0.0) == (False, SILENT)
-    assert not watch.hears(0.0)
-    watch.hear(Permission(permitted=True, text="yes", hears_sequencer=True), 1.0)
-    assert watch.at(1.09) == (True, "yes")
-    assert watch.at(1.11) == (False, SILENT)
-    assert (watch.hears(1.09), watch.hears(1.11)) == (True, False)
-    watch.hear(Permission(permitted=False, text="drives off", hears_sequencer=False), 2.0)
-    assert not watch.hears(2.0)
-    assert watch.at(2.0) == (False, "drives off")
 
 
 # --- services --------------------------------------------------------------------------------------------------------

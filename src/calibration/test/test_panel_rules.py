@@ -389,7 +389,7 @@ def test_every_code_of_the_nodes_has_words() -> None:
     codes += [f"against_{one}" for one in re.findall(r'return "(\w+)"', inspect.getsource(_advice))]
     codes += [f"mode_{one}" for one in CONSTANTS["RobotState"]["operating_mode"].values()]
     codes += [f"drives_{one}" for one in CONSTANTS["RobotState"]["drives"].values()]
-    faults = Path(STATIC.parents[1] / "status.py").read_text("utf-8")
+    faults = Path(STATIC.parents[1] / "manager.py").read_text("utf-8")
     found = re.findall(r'_fault\(Fault[^"]*"(\w+)"|code = "(\w+)" if .* else "(\w+)"', faults)
     codes += [f"fault_{one}" for row in found for one in row if one]
     assert [one for one in codes if one not in words()] == []

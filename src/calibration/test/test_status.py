@@ -27,11 +27,11 @@ from calibration_interfaces.msg import (
     State,
 )
 
-from calibration import status as wrong
+from calibration import manager as wrong
 from calibration.cell.reading_checks import PresentLoad
+from calibration.manager import Whole
 from calibration.node import LEASE
 from calibration.sequencer.feedback import ProcedureReport
-from calibration.status import Whole
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.sequence import Sequence
 from calibration_core.measurement.snapshot import Party, ReadingVerdict, Snapshot
