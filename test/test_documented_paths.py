@@ -18,7 +18,7 @@ DOCUMENTS = sorted(
 )
 QUOTED = re.compile(r"`([\w.]+(?:/[\w.]+)+|\w+\.(?:py|md))`")
 ELSEWHERE = re.compile(
-    r"share/.*|calibration/(state|event|step|conditions|permission)|calibration_interfaces/(msg|srv|action)/.*"
+    r"share/.*|calibration/(state|event|step|conditions|permission|health|wrench)|calibration_interfaces/(msg|srv|action)/.*"
 )
 
 
