@@ -55,11 +55,6 @@ class Source:
         self._subscription: Any = None
         self._profile: Any = None
 
-    @property
-    def resolved(self) -> str:
-        """The topic's full name, remappings applied."""
-        return str(self._node.resolve_topic_name(self.name))
-
     def look(self) -> None:
         """Subscribe once somebody publishes; subscribe anew if a publisher cannot be heard."""
         if not self._node.get_publishers_info_by_topic(self.name):
