@@ -360,8 +360,10 @@ def with_sound_angles(found: Diagnosis, recorded: Readings) -> Readings:
 def beside_wrong_angles(found: Diagnosis, before: Diagnosis) -> Diagnosis:
     """Add to what is found with the simulation's joint angles what was said of the recorded ones."""
     (compared,), (doubted,) = found.comparisons, before.comparisons
-    doubts = (dataclasses.replace(one, text=f"{one.text} {TAKEN}") for one in doubted.witnesses if one.what == ANGLES)
-    witnesses = (*doubts, *compared.witnesses)
+    contradicted = (
+        dataclasses.replace(one, text=f"{one.text} {TAKEN}") for one in doubted.witnesses if one.what == ANGLES
+    )
+    witnesses = (*contradicted, *compared.witnesses)
     sentences = (*(one.text for one in witnesses if one.what == ANGLES), *compared.sentences)
     return dataclasses.replace(
         found, comparisons=(dataclasses.replace(compared, witnesses=witnesses, sentences=sentences),)
