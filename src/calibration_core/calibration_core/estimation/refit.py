@@ -177,7 +177,6 @@ def refit(
     parts: Sequence[Part],
     partition: Blocks,
     *,
-    rounds: int = ROUNDS,
     known: Extended | None = None,
 ) -> Extended:
     """Fit null model and effects together, linearised again until nothing moves.
@@ -187,7 +186,6 @@ def refit(
         whitening: Of all readings.
         parts: The effects.
         partition: Blocks of the m readings for the covariance.
-        rounds: Linearisations at most.
         known: The same of other readings used, at the model to start from; None: not known.
     """
     held, value = _held(model, parts), np.zeros(sum(len(part.candidate.parameters) for part in parts))
@@ -223,7 +221,7 @@ def refit(
         still = np.abs(step[:n]).max(initial=0.0) < CONVERGED and np.abs(softer).max(initial=0.0) < STILL
         sure = np.abs(change[n:f]) > SURE * np.sqrt(variance * np.diag(inverse)[n:f])
         far = bool(np.any(sure & (np.abs(softer) > FAR) & (_fitted(model) > 0)))
-        if still or (turn >= rounds and not far) or turn == MOST_ROUNDS:
+        if still or (turn >= ROUNDS and not far) or turn == MOST_ROUNDS:
             break
         value = value + step[f:]
         parameters = moved(model.parameters, model.terms, step[:n])

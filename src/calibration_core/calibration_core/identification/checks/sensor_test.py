@@ -29,7 +29,6 @@ class SensorTest:
     """What the test found.
 
     Attributes:
-        orientations: Number of orientations.
         sign: +1 or -1.
         mass: kg, as fitted.
         bias: (6,) N and N*m, reading without any load.
@@ -39,7 +38,6 @@ class SensorTest:
         frame_error: rad, rotation by which the declared sensor axes are off.
     """
 
-    orientations: int
     sign: int
     mass: float
     bias: Float1D
@@ -94,7 +92,6 @@ def evaluate_sensor_test(wrenches: Float2D, weights: Float2D) -> SensorTest:
     lever, torque_bias, torque_rest = _lever(force - bias, torque)
     error = float(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0)))
     return SensorTest(
-        orientations=n,
         sign=sign,
         mass=mass,
         bias=np.concatenate([bias, torque_bias]),

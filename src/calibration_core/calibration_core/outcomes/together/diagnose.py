@@ -12,11 +12,11 @@ from calibration_core.diagnosis.loaded import FRAMES_SPOILED
 from calibration_core.diagnosis.proposals.choose import Offer, Offers
 from calibration_core.diagnosis.result.finding import Alternative, Diagnosis, Finding, Verdict, by_size
 from calibration_core.identification.result.estimate import Anomaly, Disagreement
-from calibration_core.identification.stiffness.loaded import Options, prepare_loaded
+from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.model.effects.recordings import RECORDING
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.observations.kinds import holds_both, is_loaded
+from calibration_core.observations.kinds import holds_both
 from calibration_core.outcomes.together.agreement import (
     agreement,
     as_anomalies,
@@ -146,13 +146,12 @@ def _registered(prepared: Prepared, anomalies: Sequence[Anomaly]) -> tuple[list[
     if holds_both(prepared.merged.readings, prepared.merged.cell):
         return findings, notes
     spoiled = {one.location.get(RECORDING) for one in anomalies if one.kind in FRAMES_SPOILED}
-    for member, start in zip(prepared.members, prepared.starts, strict=True):
-        readings, cell = member.readings, member.cell
-        if member.file in spoiled or not is_loaded(readings):
+    for member, alone in zip(prepared.members, prepared.alone, strict=True):
+        readings, cell, fit = member.readings, member.cell, alone.basis
+        if member.file in spoiled or not isinstance(fit, PreparedLoaded):
             continue
-        alone = prepare_loaded(readings, cell, Options(robust=prepared.options.robust, start=start))
-        state = loaded_state(alone.problem, cell, alone.fit.compliance)
-        found, noted = registration(alone, state, readings, sigma_points=cell.frames.sigma_points)
+        state = loaded_state(fit.problem, cell, fit.fit.compliance)
+        found, noted = registration(fit, state, readings, sigma_points=cell.frames.sigma_points)
         where = {RECORDING: member.file}
         which = f"This is in recording {member.number}."
         findings += [
