@@ -71,3 +71,8 @@ TAKEN_BACK = 0.5
 # m.  A certain step of all points that is smaller is no tracker that was moved: so much do arms grow as they warm up.
 # Earns: in one of 47 recordings under load an arm that grows with its temperature is named, and no tracker that moved.
 SLIGHT_STEP = 3e-4
+
+# Times the claimed noise of a reading.  Beside errors of the geometry, a tracker that moved is believed where no more
+# than this is left of the averages: missing physics goes up and down as well.  Earns: a gravity compensator in one of
+# 60 recordings is no tracker that moved.
+NOTHING_ELSE = 3.0

@@ -97,7 +97,7 @@ def _loaded(simulated: Readings, cell: Cell) -> OwnFaults:
     if prepared.frames is not None:  # displacements show no targets or trackers that moved
         compliance = prepared.fit.compliance
         residual = prepared.problem.linearise(compliance).residual
-        moved, sound = _shifts(simulated, residual, loaded_state(prepared.problem, cell, compliance))
+        moved, sound = _shifts(simulated, cell, residual, loaded_state(prepared.problem, cell, compliance))
     if not sound.all():
         prepared = prepare_loaded(simulated.select(sound), cell, options)
     return _own(simulated, cell, moved, sound, prepared.rejection.used, identify_prepared(prepared, cell, options))
@@ -107,18 +107,18 @@ def _at_rest(simulated: Readings, cell: Cell) -> OwnFaults:
     nominal, covariance = nominal_parameters(cell), position_covariance(simulated, cell)
     problem = absolute_problem(simulated, cell, chain_of(cell), nominal, covariance)
     start = start_parameters(problem, nominal)
-    moved, sound = _shifts(simulated, problem.residual(start).T, state_at(problem, start, simulated, cell))
+    moved, sound = _shifts(simulated, cell, problem.residual(start).T, state_at(problem, start, simulated, cell))
     kept = simulated.select(sound)
     evaluated = evaluate_absolute(kept, cell)
     return _own(simulated, cell, moved, sound, evaluated.used, identification_of(evaluated, kept, cell))
 
 
-def _shifts(simulated: Readings, residual: Float2D, state: State) -> tuple[Sequence[Anomaly], Bool1D]:
+def _shifts(simulated: Readings, cell: Cell, residual: Float2D, state: State) -> tuple[Sequence[Anomaly], Bool1D]:
     """Return targets and a tracker that moved, and the (m,) readings that stand where most do.
 
     No reading of a target that moved does: it is not known where it stood as in the recording.
     """
-    shifts = find_shifts(simulated, residual, state)
+    shifts = find_shifts(simulated, residual, state, coordinate_std(position_covariance(simulated, cell)))
     names = {str(one.location["point"]) for one in shifts.anomalies if one.kind == "target_moved"}
     moved = np.isin(simulated.point, [k for k, name in enumerate(simulated.points) if name in names])
     return shifts.anomalies, ~(shifts.tracker | moved)

@@ -22,7 +22,7 @@ from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.state import State
-from calibration_core.policy import CONFIRMED, FAULT_CHANCE, MAD, SLIGHT_STEP
+from calibration_core.policy import CONFIRMED, FAULT_CHANCE, MAD, NOTHING_ELSE, SLIGHT_STEP
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
 
 OTHERS = 2  # points at the same step, to which a reading must stand wrong to be the one at fault
@@ -232,22 +232,29 @@ def averages(residual: Float2D, place: Float2D, axes: Float3D, readings: Reading
     )
 
 
-def tracker_step(seen: Averages, geometry: Float3D) -> Step | None:
+def tracker_step(seen: Averages, geometry: Float3D, noise: float) -> Step | None:
     """Find a configuration from which on all points stand elsewhere in space; None if there is none.
 
     Frames and points are refitted in every test.  The geometry may be right, so that few configurations tell a step, or
-    wrong by more than the step: both are tried.
+    wrong by more than the step: both are tried.  Geometry takes up part of any physics that is missing, and what is
+    left of that goes up and down, too: beside it a step is believed where nothing but noise is left.
 
     Args:
         seen: Averages of m readings.
         geometry: (m, 3, g) movement of these readings by errors of the geometry.
+        noise: Claimed standard deviation of one coordinate of a reading, m.
     """
     if seen.count < 3 * EDGE + 4:
         return None
     found = _tracker_step(seen, np.hstack([seen.motion, seen.tools]))
     if found is not None and stands_beside_geometry(found, seen, geometry):
         return found
-    return _tracker_step(seen, _with_geometry(seen, geometry))
+    base = _with_geometry(seen, geometry)
+    found = _tracker_step(seen, base)
+    if found is None:
+        return None
+    explained, _, _ = _fit(np.hstack([base, seen.with_step(found)]), seen.target)
+    return found if float(np.sqrt(np.mean((seen.target - explained) ** 2))) < NOTHING_ELSE * noise else None
 
 
 def _tracker_step(seen: Averages, base: Float2D) -> Step | None:
@@ -364,7 +371,8 @@ def check_loaded(prepared: PreparedLoaded, state: State) -> Checked:
     if prepared.frames is None:
         return Checked((), sound)
     residual = prepared.problem.linearise(prepared.fit.compliance).residual
-    shifts = find_shifts(readings, residual, state)
+    noise = float(np.sqrt(np.mean(np.einsum("mii->m", prepared.problem.noise)) / 3))
+    shifts = find_shifts(readings, residual, state, noise)
     found, shape, sound = list(shifts.anomalies), shifts.shape, sound & ~shifts.target
     loose = _loose_target(prepared, state, shape) if shape.points >= 3 else None
     if loose is not None:
@@ -392,13 +400,14 @@ class Shifts:
     tracker: Bool1D
 
 
-def find_shifts(readings: Readings, residual: Float2D, state: State) -> Shifts:
+def find_shifts(readings: Readings, residual: Float2D, state: State, noise: float) -> Shifts:
     """Look for a target and a tracker that moved part-way.
 
     Args:
         readings: m readings, in the order of time.
         residual: (m, 3) m, measured - predicted, base axes; frames fitted.
         state: The null model's, of the same readings.
+        noise: Claimed standard deviation of one coordinate of a reading, m.
     """
     axes = np.moveaxis(state.at.flange, -1, 0)
     found: list[Anomaly] = []
@@ -416,7 +425,7 @@ def find_shifts(readings: Readings, residual: Float2D, state: State) -> Shifts:
         others = readings.point != point
         seen = averages(residual[others], state.point.T[others], axes[others], readings.select(others))
         geometry = geometry[others]
-    bumped = tracker_step(seen, geometry)
+    bumped = tracker_step(seen, geometry, noise)
     if bumped is not None:
         found.append(_tracker_moved(bumped, shape))
         tracker = np.isin(readings.configuration, _minority(bumped, shape))
