@@ -41,7 +41,7 @@ from calibration_core.identification.stiffness.tested import tested_on
 from calibration_core.model.effects.applied import applied
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.observations.average import coordinate_std, position_covariance
-from calibration_core.timeseries import Readings
+from calibration_core.timeseries import Float2D, Readings
 
 DWARFS = 10.0  # times what remains unexplained, that a geometry error beside it must move the points
 REPORTED = {"time": 10, "posture": 20}  # blocks left out in the figures that are reported
@@ -75,15 +75,22 @@ def diagnose_still(
     if readmitted:  # gross errors only under the null model
         options, identified = dataclasses.replace(options, readmit=options.readmit | readmitted), None
         evaluated = evaluate_absolute(readings, cell, options)
-    steps = found.parts(anomalies=True)
-    if steps:  # what identification says is said of readings freed of what moved
-        moved = found.extended.shift(steps) @ found.extended.parameters.tracker[:3, :3]
-        freed = dataclasses.replace(readings, position=readings.position - moved)
+    if found.parts(anomalies=True):  # what identification says is said of readings freed of what moved
+        freed = _freed(found, readings)
         evaluated = evaluate_absolute(freed, cell, options)
         identification = identification_of(evaluated, freed, cell, test=test)
     else:
         identification = identified or identification_of(evaluated, readings, cell, test=test)
     return diagnosis_of(found, evaluated, identification, cell, test=test, offers=offers)
+
+
+def _moved(found: Estimate) -> Float2D:
+    """Return by how much tracker and targets that moved have moved readings, (m, 3) m, tracker axes."""
+    return found.extended.shift(found.parts(anomalies=True)) @ found.extended.parameters.tracker[:3, :3]
+
+
+def _freed(found: Estimate, readings: Readings) -> Readings:
+    return dataclasses.replace(readings, position=readings.position - _moved(found))
 
 
 def diagnosis_of(
@@ -148,6 +155,8 @@ def diagnosis_of(
         residual=extended.left,
         residual_before=null.left,
         shift=extended.shift(physics),
+        moved=_moved(found),
+        used=extended.model.used,
         compliance=compliance,
         compliance_covariance=covariance,
         blocks={kind: (rms_length(before), rms_length(after)) for kind, (before, after) in left.items()},
@@ -245,8 +254,7 @@ def diagnose_mixed(
         InputError: As `identify_absolute`, and as `prepare_loaded` where several configurations were loaded.
     """
     identification = fit_freed(readings, cell, options, test) if identified is None else identified
-    basis = identification.basis
-    fits = basis if isinstance(basis, BothFits) else fit_both(readings, cell, options)
+    fits = _both(identification, readings, cell, options)
     prepared, still, evaluated = fits.loaded, fits.rows, fits.case
     if prepared is None:
         used = np.ones(len(readings), dtype=bool)
@@ -257,6 +265,12 @@ def diagnose_mixed(
     used = checked.sound & prepared.rejection.used
     used[still] &= evaluated.used  # gross errors that only the geometry shows
     found = estimate(readings, cell, evaluated, used)
+    if found.parts(anomalies=True):  # what moved makes gross errors of sound readings
+        identification = fit_freed(_freed(found, readings), cell, options, test)
+        evaluated = _both(identification, _freed(found, readings), cell, options).case
+        used = checked.sound & prepared.rejection.used
+        used[still] &= evaluated.used
+        found = estimate(readings, cell, evaluated, used)
     claimed = coordinate_std(prepared.problem.noise[prepared.rejection.used])
     unsettled = (a for a in identification.anomalies if a.kind == "unsettled")
     anomalies = (*checked.anomalies, *_of_readings(found, checked, claimed), *unsettled)
@@ -271,6 +285,11 @@ def diagnose_mixed(
     if not loads.measurements:
         return result
     return dataclasses.replace(result, next_measurements=loads.measurements, next_text=loads.text)
+
+
+def _both(identification: Identification, readings: Readings, cell: Cell, options: Options) -> BothFits:
+    basis = identification.basis
+    return basis if isinstance(basis, BothFits) else fit_both(readings, cell, options)
 
 
 def _of_readings(found: Estimate, checked: Checked, claimed: float) -> tuple[Anomaly, ...]:

@@ -231,16 +231,28 @@ def with_waterfall(found: Diagnosis, recorded: Readings, cell: Cell, test: Readi
     if compared.steps is None or found.recording_spoiled:
         return found
     rows, simulated = compared.rows, compared.simulated.position
-    excluded = found.identification.residuals.excluded
+    used = ~found.identification.residuals.excluded if found.used is None else found.used
     # What the standard's model alone cannot explain may be physics: set aside are readings that the diagnosis names.
-    if len(excluded) == len(recorded) and any(one.kind == "outlier_readings" for one in found.anomalies):
-        rows, simulated = rows[~excluded[rows]], simulated[~excluded[rows]]
-    return dataclasses.replace(found, comparisons=(_with_steps(found, (recorded, rows), simulated, cell, test),))
+    if len(used) == len(recorded) and any(one.kind == "outlier_readings" for one in found.anomalies):
+        rows, simulated = rows[used[rows]], simulated[used[rows]]
+    whole = recorded.position[rows] - simulated
+    if found.moved is not None:
+        recorded = dataclasses.replace(recorded, position=recorded.position - found.moved)
+    return dataclasses.replace(found, comparisons=(_with_steps(found, (recorded, rows), whole, cell, test),))
 
 
 def _with_steps(
-    found: Diagnosis, recorded: tuple[Readings, Int1D], simulated: Float2D, cell: Cell, test: Readings | None
+    found: Diagnosis, recorded: tuple[Readings, Int1D], difference: Float2D, cell: Cell, test: Readings | None
 ) -> Comparison:
+    """Return the comparison with its steps.
+
+    Args:
+        found: The diagnosis.
+        recorded: The recording, less what moved of tracker and targets, and its rows that correspond.
+        difference: (m, 3) m, recording minus simulation, as both are.
+        cell: The cell file.
+        test: A recording that was not fitted.
+    """
     (compared,), unknown = found.comparisons, float("nan")
     ours = ComparedRows(*recorded, cell)
     model, estimate = found.handed_out
@@ -249,7 +261,7 @@ def _with_steps(
         believed = believed.replace(compliance=same.compliance)
     staged = _StagedModel(ours, found, believed)
     tested = None if test is None else _Tested(test, model, estimate, cell, found.noise_known)
-    left = ours.compared(recorded[0].position[recorded[1]] - simulated)
+    left = difference = ours.compared(difference)
     whole = before = ours.rms(left)
     # Where the model says what the simulation says, it stands for it on the test recording.
     alike = same.reproduced or same.compliance is not None
@@ -294,8 +306,8 @@ def _with_steps(
     steps.append(WaterfallStep("noise", words, before, last.held_out_rms, last.test_rms, share))
     again = unknown if tested is None else tested.rms(model)
     improved = ImprovedSimulation(ours.rms(ours.left(model)), again, lambda other: ours.rms(ours.left(other)))
-    difference = ours.compared(recorded[0].position[recorded[1]] - simulated) @ believed.tracker[:3, :3].T
-    where = locate(recorded[0].select(recorded[1]), difference, cell, believed) if whole > PLAIN * before else None
+    turned = difference @ believed.tracker[:3, :3].T
+    where = locate(recorded[0].select(recorded[1]), turned, cell, believed) if whole > PLAIN * before else None
     pattern = "" if where is None else where.strongest
     return dataclasses.replace(
         compared,

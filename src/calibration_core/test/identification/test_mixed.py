@@ -14,10 +14,13 @@ from calibration_core.cell import Cell
 from calibration_core.commands.evaluation.diagnose import evaluate_all as diagnose_all
 from calibration_core.commands.evaluation.identify import Identified, evaluate_all
 from calibration_core.commands.shared.inputs import Refusal
+from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.errors import IdentificationError
 from calibration_core.identification.identify import identify
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.stiffness.loaded import Options
+from calibration_core.identification.stiffness.predict import predict_readings
+from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.observations.kinds import single_steps
 from calibration_core.timeseries import Readings
@@ -251,3 +254,13 @@ def test_what_is_not_used_is_counted_alike_everywhere(tmp_path: Path) -> None:
             excluded = [one["excluded"] for one in content["recordings"]]
             assert min(excluded) >= 1
             assert sum(excluded) == count
+
+
+def test_the_steps_from_a_simulation_are_free_of_what_moved(tmp_path: Path) -> None:
+    """A target that was knocked is named, and no step has to explain it."""
+    cell = cell_in(tmp_path)
+    readings = mixed(cell, 0, 38, slipped=(12, 2e-3))
+    exact = dataclasses.replace(readings, position=predict_readings(readings, cell, nominal_parameters(cell)))
+    found = diagnose(readings, cell, simulation=exact)
+    assert [one.kind for one in found.anomalies] == ["target_moved"]
+    assert found.comparisons[0].waterfall[-1].rms < 1.2 * found.noise_known

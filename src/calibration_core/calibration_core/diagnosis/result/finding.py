@@ -18,7 +18,7 @@ from calibration_core.model.effects.candidate import Candidate
 from calibration_core.model.effects.words import effect_sentence, effect_words
 from calibration_core.model.identified.gaussian import GaussianEstimate
 from calibration_core.model.parameters import ModelParameters
-from calibration_core.timeseries import NO_INTERVALS, Float1D, Float2D, Note
+from calibration_core.timeseries import NO_INTERVALS, Bool1D, Float1D, Float2D, Note
 
 Location = Mapping[str, str | tuple[str, ...]]
 EMPIRICAL = "empirical"  # family of a law that fits and is no physics
@@ -176,6 +176,8 @@ class Diagnosis:
         located: Sentences of the model-free location.
         residual: (m, 3) m, what the extended model leaves.
         shift: (m, 3) m, what the findings explain.
+        moved: (m, 3) m, tracker axes, of readings after tracker or target moved; None where offsets hide it.
+        used: (m,) readings that were not set aside; None: those that the identification used.
         compliance: (n,) rad/(N*m) of the extended model.
         blocks: Kind of block left out (`time`, `posture`) -> 3-d rms before and after, m; absolute recordings only.
         test: Result on a recording that was not fitted, if one was given.
@@ -212,6 +214,8 @@ class Diagnosis:
     test: TestResult | None = None
     model: ModelParameters | None = None
     aliases: tuple[str, ...] = ()
+    moved: Float2D | None = None
+    used: Bool1D | None = None
     further_figures: Mapping[str, float] = dataclasses.field(default_factory=dict)
     comparisons: tuple[Comparison, ...] = ()
     residual_before: Float2D | None = None
