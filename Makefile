@@ -45,7 +45,7 @@ help:
 	@echo "make prove       the slow tests of the core and the simulation, and the proof on concealed effects (under 3 hours)"
 	@echo "make prove-input 5,000 changed inputs, absurd inputs, 2,000 good ones, coverage of Table 2 (under 2 hours)"
 	@echo "make prove-use   50 calibrated robots drill and mill under load (under half an hour)"
-	@echo "make prove-pairs 200 pairs of a simulation and a recording of another plant (an hour on an idle core)"
+	@echo "make prove-pairs 356 pairs of a simulation and a recording of another plant (two hours on an idle core)"
 	@echo "make prove-fleet a simulated plant of 600 robots: damages found, speed, memory, kills (under 2 hours)"
 	@echo "make prove-cell  the slow tests of the live cell: faults, crashes, recovery, soak (some 4 hours on four cores)"
 	@echo "make prove-panel the operator's page in a real browser: sizes, faults, load, stop (under 20 minutes on four idle cores)"
