@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from calibration_core.diagnosis.comparison.result import ChangedNumber, WaterfallStep
 from calibration_core.report.rounding import (
     DASH,
     MICROMETRE,
@@ -25,6 +26,7 @@ from calibration_core.report.rounding import (
     significant,
     spread,
 )
+from calibration_core.report.sections.diagnosis import changed_numbers
 
 
 @pytest.mark.parametrize(
@@ -136,3 +138,9 @@ def test_small_quantities_are_read_in_units_of_their_size() -> None:
     assert readable_unit("rad/year").name == "µrad/year"
     assert readable_unit("rad/(N*m)").name == "10⁻⁹ rad/(N·m)"
     assert (readable_unit("N*m").factor, readable_unit("N*m").name) == (1.0, "N·m")
+
+
+def test_a_number_that_changes_by_little_of_itself_is_shown_with_the_change() -> None:
+    number = ChangedNumber("tracker.z", 1.2, 1.2000251, 1.2000039, 1.2000464, "m")
+    step = WaterfallStep("frames", "tracker z", 1e-4, 1e-4, math.nan, 0.1, (number,))
+    assert changed_numbers([step]).rows == (("tracker.z", "1.200000", "1.200025", "1.200004", "1.200046", "m"),)

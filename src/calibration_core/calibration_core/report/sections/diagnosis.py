@@ -27,7 +27,7 @@ from calibration_core.report.figures.diagnosis import (
     where_figure,
 )
 from calibration_core.report.results.diagnosis import extended_joints
-from calibration_core.report.rounding import DASH, counted, fixed, padded, significant
+from calibration_core.report.rounding import COVERAGE, DASH, counted, decimals, fixed, padded, significant
 from calibration_core.report.sections.procedure import joint_columns, joint_values
 from calibration_core.report.sections.stiffness import extended_table
 from calibration_core.report.view3d.picture import svg
@@ -115,7 +115,7 @@ def _waterfall(compared: Comparison) -> list[Block]:
     note = "Shares are of the squared difference; they add up to 100 %. That of the noise is what is left."
     figure = Figure("waterfall", caption, "From the simulation to the noise", waterfall_figure(compared))
     blocks: list[Block] = [figure, Table("From the simulation to the noise", columns, padded(rows), note)]
-    blocks.append(_changed(steps))
+    blocks.append(changed_numbers(steps))
     if improved is not None:
         lost = (
             (" with ".join(one.files), "; ".join(one.effects) or DASH, significant(1e6 * one.costs, 3))
@@ -127,12 +127,15 @@ def _waterfall(compared: Comparison) -> list[Block]:
     return blocks
 
 
-def _changed(steps: Sequence[WaterfallStep]) -> Table:
-    """Return the numbers that change, with the value before and after."""
+def changed_numbers(steps: Sequence[WaterfallStep]) -> Table:
+    """Return the numbers that change, with the value before and after, rounded by the uncertainty of the latter."""
     rows = tuple(
         (
             one.name,
-            *(significant(value, 5) for value in (one.before, one.after, one.low, one.high)),
+            *(
+                fixed(value, decimals((one.high - one.low) / (2.0 * COVERAGE)))
+                for value in (one.before, one.after, one.low, one.high)
+            ),
             people_unit(one.unit),
         )
         for step in steps
