@@ -198,7 +198,7 @@ def scattered_covariance(extended: ExtendedLoadedModel) -> Float2D:
 
 
 def held_out_lengths(extended: ExtendedLoadedModel, cell: Cell, accepted: tuple[int, ...]) -> Float1D:
-    """Return the lengths (k,) m of the prediction errors of the readings used, as far as they count.
+    """Return the lengths (k,) m of the prediction errors of the readings that count.
 
     Args:
         extended: The extended model, linear about its own compliances.
@@ -214,5 +214,4 @@ def held_out_lengths(extended: ExtendedLoadedModel, cell: Cell, accepted: tuple[
     values = np.stack([without.get(k, whole) for k in range(int(problem.configuration.max()) + 1)])
     error = linear.residual - np.einsum("mij,mj->mi", columns, values[problem.configuration])
     error = relative(problem, dataclasses.replace(linear, residual=error), cell, extended.used)
-    shown = np.intersect1d(np.flatnonzero(counted(problem.readings, cell)), extended.used)
-    return np.asarray(np.linalg.norm(error[shown], axis=1))
+    return np.asarray(np.linalg.norm(error[counted(problem.readings, cell)], axis=1))
