@@ -2,7 +2,7 @@
 
 It moves nothing: whoever asks gets corrected joint angles and places, and sends them himself.  The model is a
 parameter; one of another robot is refused, and the one before stays.  One request at a time; whoever comes meanwhile
-is told so.
+gets that as the answer.
 """
 
 from __future__ import annotations

@@ -199,7 +199,7 @@ def _progress(state: State) -> Iterator[Fault]:
         yield _fault(Fault.WARN, "suspicious", f"configuration {progress.configuration}", text, "measure it again")
 
 
-FOREIGN = 10.0  # s, for which a reading of another session is told
+FOREIGN = 10.0  # s, for which a reading of another session is reported
 
 
 class Whole:

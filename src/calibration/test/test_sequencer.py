@@ -554,14 +554,14 @@ def test_what_cannot_be_begun_is_rejected(
 def test_another_robot_than_the_cells_is_not_moved(
     spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
 ) -> None:
-    told: list[str] = []
+    reported: list[str] = []
     world.node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda one: told.extend(str(status.message) for status in one.status), 10
+        DiagnosticArray, "/diagnostics", lambda one: reported.extend(str(status.message) for status in one.status), 10
     )
     node = spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
-    handle = operator.measure(plan, tmp_path / "first")  # nobody describes the robot: that is told, and no reason
+    handle = operator.measure(plan, tmp_path / "first")  # nobody describes the robot: that is reported, and no reason
     until(lambda: node.runner is not None)
-    until(lambda: any(text.startswith("nothing comes on /robot_description") for text in told))
+    until(lambda: any(text.startswith("nothing comes on /robot_description") for text in reported))
     text = load_cell(CELL).urdf_path.read_text("utf-8")
     described = world.node.create_publisher(String, "robot_description", profile(Quality.STATE))
     described.publish(String(data=text))

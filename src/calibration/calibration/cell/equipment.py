@@ -1,6 +1,6 @@
 """What a measurement needs besides the robot: recorder, instruments and identification; who is lost pauses the run.
 
-The recorder is told where the session's bag is, listened to, and closed at the end.
+The recorder gets the place of the session's bag, is listened to, and is closed at the end.
 """
 
 from __future__ import annotations

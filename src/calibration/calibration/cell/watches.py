@@ -127,7 +127,7 @@ class WrenchWatch:
 
     Attributes:
         topic: Where the wrench comes from.
-        tares: How many tares have been told.
+        tares: How many tares have been reported.
         tare: Number of the last one.
     """
 
