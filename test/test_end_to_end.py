@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -115,23 +114,3 @@ def _moved_by_the_load(rows: list[dict[str, str]], prefix: str) -> np.ndarray:
         for row in rows
     }
     return np.array([at - place[c, "0", point] for (c, step, point), at in place.items() if step != "0"])
-
-
-def test_a_bag_that_lost_its_end_is_read_as_far_as_it_goes(recorded: Path, tmp_path: Path) -> None:
-    bag = tmp_path / "cut"
-    shutil.copytree(recorded / "bag", bag)
-    (data,) = bag.glob("*.mcap")
-    data.write_bytes(data.read_bytes()[: int(0.7 * data.stat().st_size)])
-    done = run("calibration", "identify", data, "--cell", CELL, "--out", tmp_path / "out", "--no-report")
-    assert done.returncode == 0, done.stderr
-    result = json.loads((tmp_path / "out/result.json").read_text())
-    assert 6 <= result["recording"]["configurations"] < 12
-    assert "truncated" in json.dumps(result["notes"])
-
-
-def test_one_line_and_exit_code_2_for_a_recording_that_is_not_there(tmp_path: Path) -> None:
-    done = run("calibration", "identify", tmp_path / "none.csv", "--cell", CELL, "--out", tmp_path / "out")
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "none.csv" in done.stderr
-    assert not (tmp_path / "out").exists()

@@ -31,7 +31,7 @@ from calibration_sim.mechanics.transforms import rotation_vector
 from calibration_sim.scenarios.names import renamed
 
 SLOW = pytest.mark.slow
-LONG = {"loaded", "loaded, small robot", "loaded and at rest", "two recordings"}
+LONG = {"loaded", "loaded, small robot", "loaded and at rest", "at rest", "two recordings"}
 
 Change = Callable[[Recorded, np.random.Generator], Recorded]
 

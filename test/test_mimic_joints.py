@@ -66,7 +66,7 @@ def run(*arguments: object) -> None:
     assert main([str(argument) for argument in arguments]) == 0
 
 
-@pytest.fixture(scope="module", params=["column", "parallelogram"])
+@pytest.fixture(scope="module", params=[pytest.param("column", marks=pytest.mark.slow), "parallelogram"])
 def planned(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Cell:
     """Return a cell with a plan beside it."""
     folder = tmp_path_factory.mktemp(request.param)

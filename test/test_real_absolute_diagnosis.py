@@ -19,7 +19,6 @@ from calibration_core.recording.tables.table import read_table
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"
 UR10 = ("A", "B", "C", "D")
-IN_THE_GATE = [pytest.param(one, marks=[] if one == "A" else [pytest.mark.slow]) for one in UR10]
 GEOMETRY = {"A": 0.44e-3, "B": 0.44e-3, "C": 0.48e-3, "D": 0.40e-3}  # m, 3-d rms that geometry alone leaves, at least
 LEFT = {"A": 0.12e-3, "B": 0.18e-3, "C": 0.12e-3, "D": 0.15e-3}  # m, the same with what was found, at most
 HALF = 0.16e-3  # m, the same of half of series A
@@ -80,7 +79,8 @@ def test_wam_is_left_where_it_came_from_and_not_elastic() -> None:
     assert all(after < 0.8 * before for before, after in found.blocks.values())
 
 
-@pytest.mark.parametrize("series", IN_THE_GATE)
+@pytest.mark.slow
+@pytest.mark.parametrize("series", UR10)
 def test_ur10_all_gears_err(series: str) -> None:
     found = _ur10(series)
     gears = _gears(found)
@@ -120,7 +120,8 @@ def test_ur10_what_is_found_on_one_predicts_another() -> None:
     assert at_rest.mean < 0.6 * at_rest.mean_before
 
 
-@pytest.mark.parametrize("series", IN_THE_GATE)
+@pytest.mark.slow
+@pytest.mark.parametrize("series", UR10)
 def test_ur10_what_sags_is_its_second_link_and_no_joint(series: str) -> None:
     """No stiffness of a joint is claimed where the bending of a tube explains more."""
     found = _ur10(series)

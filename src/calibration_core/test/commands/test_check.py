@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from program import CELL, names, rewritten, run, scaled
+from program import CELL, names, run
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -169,12 +169,6 @@ def test_topics_without_a_message_are_named(tmp_path: Path, capsys: pytest.Captu
         writer.write(text, 1, store.serialize_cdr(store.types["std_msgs/msg/String"]("begun"), "std_msgs/msg/String"))
     assert run("check", CELL, tmp_path / "bag", "--out", tmp_path / "out") == 2
     assert "joint states (/joint_states): found holds no message" in capsys.readouterr().out
-
-
-def test_a_table_of_another_robot_is_named(simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rewritten(simulated / "measurements.csv", tmp_path / "mm.csv", lambda row: scaled(row, ("x", "y", "z"), 1e3))
-    assert run("check", CELL, tmp_path / "mm.csv", "--out", tmp_path / "out") == 2
-    assert "mm.csv" in capsys.readouterr().out
 
 
 def test_what_init_guessed_is_named_until_it_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

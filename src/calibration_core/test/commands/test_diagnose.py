@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
-from program import WRENCH, names, result_of, rewritten, run, scaled
+from program import names, result_of, rewritten, run
 
 
 @pytest.fixture(scope="module")
@@ -66,42 +66,6 @@ def test_a_recording_like_its_simulation_differs_by_noise(diagnosed: Path, clean
     assert len(compared["step_by_step"]["by_configuration"]) == 12
 
 
-def test_a_simulation_with_the_wrong_sign_is_named(
-    simulated: Path, clean: Path, cell_path: Path, tmp_path: Path
-) -> None:
-    table = rewritten(clean / "measurements.csv", tmp_path / "other.csv", lambda row: scaled(row, WRENCH, -1.0))
-    recording, out = simulated / "measurements.csv", tmp_path / "out"
-    assert run("diagnose", recording, "--cell", cell_path, "--simulation", table, "--out", out, "--no-report") == 0
-    content = result_of(out)
-    assert [(d["kind"], d["side"]) for d in content["comparison"]["differences"]] == [("wrench_sign", "simulation")]
-    assert (content["verdict"], content["anomalies"]) == ("consistent", [])
-    assert content["usable"] != "no"
-    assert len(content["stiffness"]) == 6
-    (turned_back,) = content["comparison"]["differences"]
-    assert "read as if this were put right" in turned_back["text"]
-    assert not turned_back["spoils"]
-    steps = content["comparison"]["step_by_step"]
-    assert steps["rms"] < steps["noise"]
-
-
-def test_a_tracker_that_jumps_in_the_simulation_leaves_the_recording_usable(
-    simulated: Path, clean: Path, diagnosed: Path, cell_path: Path, tmp_path: Path
-) -> None:
-    def moved(row: dict[str, str]) -> dict[str, str]:
-        return row | {"z": repr(float(row["z"]) + (0.03 if int(row["configuration"]) > 7 else 0.0))}
-
-    table, out = rewritten(clean / "measurements.csv", tmp_path / "jump.csv", moved), tmp_path / "out"
-    recording = simulated / "measurements.csv"
-    assert run("diagnose", recording, "--cell", cell_path, "--simulation", table, "--out", out, "--no-report") == 0
-    content, alone = result_of(out), result_of(diagnosed)
-    same = ("usable", "reason", "verdict", "stiffness", "findings", "anomalies", "fit")
-    assert {key: content[key] for key in same} == {key: alone[key] for key in same}
-    differences = content["comparison"]["differences"]
-    assert ("tracker_moved", "simulation") in [(one["kind"], one["side"]) for one in differences]
-    assert {one["side"] for one in differences if one["spoils"]} == set()
-    assert set(differences[0]) == {"kind", "location", "side", "magnitude", "unit", "text", "spoils"}
-
-
 def test_postures_beside_loaded_configurations_stand_in_result_and_report(
     simulated: Path, clean: Path, cell_path: Path, tmp_path: Path
 ) -> None:
@@ -145,14 +109,3 @@ def test_a_simulation_that_cannot_be_used_ends_with_one_line(
     assert "other.csv" in said
     assert words in said.lower()
     assert not out.exists()
-
-
-def test_millimetres_in_a_simulation_are_named_and_put_right(
-    simulated: Path, clean: Path, cell_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    table = rewritten(clean / "measurements.csv", tmp_path / "mm.csv", lambda row: scaled(row, ("x", "y", "z"), 1e3))
-    recording, out = simulated / "measurements.csv", tmp_path / "out"
-    assert run("diagnose", recording, "--cell", cell_path, "--simulation", table, "--out", out) == 0
-    assert "the simulation in mm" in capsys.readouterr().out
-    (difference,) = result_of(out)["comparison"]["differences"]
-    assert (difference["kind"], difference["side"]) == ("position_unit", "simulation")

@@ -289,10 +289,13 @@ def test_a_bag_without_the_wrench_topic_that_the_cell_file_names(
 def test_the_same_readings_twice_are_one_recording(
     command: str, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A copy saved with other line ends, or the bag beside its table, says nothing new."""
-    table = simulated / "measurements.csv"
-    (tmp_path / "copy.csv").write_bytes(table.read_bytes().replace(b"\n", b"\r\n"))
-    line = refused(capsys, tmp_path, command, table, tmp_path / "copy.csv", "--cell", CELL)
-    assert f"{tmp_path / 'copy.csv'}: found" in line or f"{table}: found" in line
+    """A copy saved with other line ends, or the bag beside its table, says nothing new, and tests nothing."""
+    table, bag, copy = simulated / "measurements.csv", simulated / "recording", tmp_path / "copy.csv"
+    copy.write_bytes(table.read_bytes().replace(b"\n", b"\r\n"))
+    line = refused(capsys, tmp_path, command, table, copy, "--cell", CELL)
+    assert f"{copy}: found" in line or f"{table}: found" in line
     assert "readings that are those of" in line
     assert line.endswith("expected every recording once\n")
+    for fitted, test in ((bag, table), (table, bag)):
+        assert run(command, fitted, "--test", test, "--cell", CELL, "--out", tmp_path / "out") == 2
+        assert "which is fitted" in capsys.readouterr().err

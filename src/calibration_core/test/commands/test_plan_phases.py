@@ -41,17 +41,17 @@ def test_from_the_plan_to_table_2(cell_path: Path, of_phases: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("purpose", ["stiffness", "geometry"])
-def test_what_is_promised_holds_with_the_phases(cell_path: Path, tmp_path: Path, purpose: str) -> None:
-    loads = ("--load-levels", 0, 1) if purpose == "stiffness" else ()
-    common = ("--cell", cell_path, "--no-report", "--configurations", 12, "--for", purpose, *loads)
-    promised = {}
-    for name, phases in (("alone", ()), ("after_phases", ("--phases",))):
-        assert run("plan", *common, *phases, "--out", tmp_path / name) == 0
-        content = result_of(tmp_path / name)
-        promised[name] = content["geometry" if purpose == "geometry" else "expected"]
-    alone, both = (promised[name]["duration"] for name in ("alone", "after_phases"))
-    standstills = len(read_plan(tmp_path / "after_phases" / "plan.yaml", load_cell(cell_path)).preparation)
+def test_what_is_promised_holds_with_the_phases(cell_path: Path, of_phases: Path, tmp_path: Path, purpose: str) -> None:
+    common = ("--cell", cell_path, "--no-report", "--configurations", 12, "--for", purpose)
+    loads, after = (("--load-levels", 0, 0.5, 1), of_phases) if purpose == "stiffness" else ((), tmp_path / "phases")
+    assert run("plan", *common, *loads, "--out", tmp_path / "alone") == 0
+    if purpose == "geometry":
+        assert run("plan", *common, "--phases", "--out", after) == 0
+    key = "geometry" if purpose == "geometry" else "expected"
+    promised = [result_of(folder)[key] for folder in (tmp_path / "alone", after)]
+    alone, both = (one["duration"] for one in promised)
+    standstills = len(read_plan(after / "plan.yaml", load_cell(cell_path)).preparation)
     assert both["reading"] > alone["reading"] + standstills  # more than a second each
     assert both["moving"] > alone["moving"]
     assert both["total"] == pytest.approx(sum(both[part] for part in ("moving", "startup", "loading", "reading")))
-    assert promised["after_phases"]["unclear_moves"] >= promised["alone"]["unclear_moves"]
+    assert promised[1]["unclear_moves"] >= promised[0]["unclear_moves"]

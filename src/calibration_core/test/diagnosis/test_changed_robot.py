@@ -71,6 +71,7 @@ def test_a_joint_that_has_become_softer(tmp_path: Path, joint: int) -> None:
     assert np.abs(off).max() < 3.5  # those of the robot as the others show it
 
 
+@pytest.mark.slow
 def test_a_joint_whose_zero_has_changed(tmp_path: Path) -> None:
     """Two of the recordings do not prove that the geometry is to be corrected; they say what they know of it."""
     geometry = np.zeros((6, 6))
@@ -92,7 +93,10 @@ def test_recordings_that_have_not_changed_are_not_evaluated_again(tmp_path: Path
     assert [one is before for one, before in zip(less.alone, prepared.alone, strict=True)] == [True, True, False]
 
 
-def test_what_each_shows_beside_the_findings_is_evaluated_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sensor_that_is_wrong_in_one_recording_is_no_change_of_the_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Less what was found, its stiffnesses are the others' again; what each shows beside it is evaluated once."""
     recordings, cells = recorded(tmp_path, 300, of_third={"effects": (GAIN,)})
     prepared = together(recordings, cells)
     evaluated: list[int] = []
@@ -104,6 +108,7 @@ def test_what_each_shows_beside_the_findings_is_evaluated_once(tmp_path: Path, m
     monkeypatch.setattr("calibration_core.outcomes.together.agreement.fit_freed", counted)
     found = diagnose_together(prepared)
     assert effects(found) == [("wrench_gain", {"sensor": "force_torque", "recording": "C.csv"})]
+    assert differing(found) == []
     assert evaluated == [len(one) for one in recordings]
 
 
@@ -118,14 +123,6 @@ def test_the_recording_that_was_named_first_has_changed(tmp_path: Path) -> None:
     assert differing(found) == [("C.csv", "compliance.joint_3")]
     assert found.test is not None
     assert found.test.rms < 1.3 * cells[2].instruments.tracker.sigma
-
-
-def test_a_sensor_that_is_wrong_in_one_recording_is_no_change_of_the_robot(tmp_path: Path) -> None:
-    """It moves the stiffnesses that this recording shows by itself; less what was found they are the others' again."""
-    recordings, cells = recorded(tmp_path, 300, of_third={"effects": (GAIN,)})
-    found = diagnose_together(together(recordings, cells))
-    assert effects(found) == [("wrench_gain", {"sensor": "force_torque", "recording": "C.csv"})]
-    assert differing(found) == []
 
 
 @pytest.mark.slow

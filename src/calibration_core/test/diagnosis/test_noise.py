@@ -145,9 +145,10 @@ def test_a_joint_that_jumps_is_distinguished_from_the_noise_that_steps_share(
     assert 0.5 < found.share < 1.0
 
 
-def test_noise_that_steps_share_follows_no_joint(prepared: PreparedLoaded) -> None:
+@pytest.mark.parametrize("recordings", [50, pytest.param(300, marks=pytest.mark.slow)])
+def test_noise_that_steps_share_follows_no_joint(prepared: PreparedLoaded, recordings: int) -> None:
     """At a chance of 1e-4, not one of 300 recordings."""
-    assert [seed for seed in range(300) if jumps(prepared, _noise(np.random.default_rng(1000 + seed)))] == []
+    assert [seed for seed in range(recordings) if jumps(prepared, _noise(np.random.default_rng(1000 + seed)))] == []
 
 
 def test_a_load_that_is_not_followed_jumps_nowhere(prepared: PreparedLoaded) -> None:

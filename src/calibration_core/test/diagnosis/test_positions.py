@@ -108,7 +108,7 @@ def test_transmission_error_is_found_with_its_orders_and_proven_on_other_poses(c
     assert np.isclose(np.sqrt(np.mean(again**2)), found.test.rms, rtol=1e-6)
 
 
-@pytest.mark.parametrize("order", [40, 160, 320])
+@pytest.mark.parametrize("order", [40, pytest.param(160, marks=pytest.mark.slow), 320])
 def test_a_strain_wave_gear_is_found_whose_ratio_the_recording_resolves(cell: Cell, order: int) -> None:
     """1.5 arc minutes peak to peak, once and twice a turn of the wave generator of ratio 160."""
     q = random_angles(SEED, 400, 6)
@@ -208,7 +208,9 @@ def overtones(torque: float, shape: Triangle) -> np.ndarray:
     return np.asarray(np.fft.rfft(values)[2:5])
 
 
-@pytest.mark.parametrize("shape", [Triangle(183.8, 0.498, 0.58), Triangle(221.0, 0.4, 0.7)])
+@pytest.mark.parametrize(
+    "shape", [pytest.param(Triangle(183.8, 0.498, 0.58), marks=pytest.mark.slow), Triangle(221.0, 0.4, 0.7)]
+)
 def test_a_compensator_is_found_with_its_triangle_and_without_waves_that_imitate_it(shape: Triangle) -> None:
     stated = make_cell(points=POINTS, robot={"stiffness": [1e6] * 6})
     q, other = random_angles(SEED, CONFIGURATIONS, 6), random_angles(99, 25, 6)
@@ -311,7 +313,7 @@ def test_a_moved_tracker_is_told_from_a_moved_target(cell: Cell) -> None:
     assert found.findings == ()
 
 
-@pytest.mark.parametrize("joint", [0, 1, 3])
+@pytest.mark.parametrize("joint", [0, pytest.param(1, marks=pytest.mark.slow), 3])
 def test_a_zero_that_is_lost_part_way_is_placed_in_time(cell: Cell, joint: int) -> None:
     q = random_angles(SEED, CONFIGURATIONS, 6)
     extra = np.zeros_like(q)
