@@ -33,7 +33,7 @@ def test_few_poses_decide(planned: tuple[Plan, Recheck]) -> None:
     assert all(len(one.steps) == 2 for one in plan.primary)
 
 
-@pytest.mark.parametrize("trials", [12, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("trials", [6, pytest.param(40, marks=pytest.mark.slow)])
 def test_an_unchanged_robot_conforms(planned: tuple[Plan, Recheck], trials: int) -> None:
     plan, model = planned[0], identified()[1]
     wrong = 0

@@ -201,12 +201,12 @@ def test_intervals_of_deflections_are_those_of_repeated_draws(cell: Cell) -> Non
     found = deflect(CalibratedRobot.of(cell, model), task.q, task.wrench, conditions_of(task), estimate)
     rng = np.random.default_rng(0)
     draws = []
-    for _ in range(120):
+    for _ in range(60):
         value = estimate.value + estimate.root() @ rng.standard_normal(len(estimate.names))
         other = with_values(model, dict(zip(estimate.names, value, strict=True)))
         draws.append(deflect(CalibratedRobot.of(cell, other), task.q, task.wrench, conditions_of(task), None).moved)
     tool = found.names.index("tool")
-    np.testing.assert_allclose(QUANTILE * np.std(draws, axis=0)[:, tool], found.u95[:, tool], rtol=0.25, atol=2e-7)
+    np.testing.assert_allclose(QUANTILE * np.std(draws, axis=0)[:, tool], found.u95[:, tool], rtol=0.3, atol=2e-7)
     stiff, axes = found.stiffness()
     assert np.all(np.diff(stiff, axis=1) >= 0)
     softest = np.einsum("mab,mb->ma", found.compliance, axes[:, 0])

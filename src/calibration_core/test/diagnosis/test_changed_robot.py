@@ -108,6 +108,9 @@ def test_a_sensor_that_is_wrong_in_one_recording_is_no_change_of_the_robot(
     monkeypatch.setattr("calibration_core.outcomes.together.agreement.fit_freed", counted)
     found = diagnose_together(prepared)
     assert effects(found) == [("wrench_gain", {"sensor": "force_torque", "recording": "C.csv"})]
+    assert "in recording 3" in found.findings[0].explanation
+    assert found.model is not None
+    assert found.model.effects == ()  # of the set-up of A, which was named first
     assert differing(found) == []
     assert evaluated == [len(one) for one in recordings]
 

@@ -52,7 +52,7 @@ def corrections(value: np.ndarray) -> Corrections:
     return Corrections(value, 1e-10 * np.eye(24), answer, np.zeros((3, 36)), RATED_LOAD)
 
 
-@pytest.mark.parametrize("level", [0.7, 5.0])
+@pytest.mark.parametrize("level", [pytest.param(0.7, marks=pytest.mark.slow), 5.0])
 def test_false_alarms_are_rare_however_well_the_cell_is_set_up(level: float) -> None:
     rng = np.random.default_rng(3)
     hypotheses = hypotheses_of(JOINTS, RATED_LOAD)

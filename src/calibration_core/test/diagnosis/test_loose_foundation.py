@@ -79,13 +79,13 @@ def _standing(cell: Cell, seed: int, compliance: np.ndarray) -> Readings:
 
 
 @pytest.mark.parametrize("compliance", [ANCHORED, LOOSE, ON_A_PALLET])
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_rocking_base_is_named_whatever_its_size(cell: Cell, seed: int, compliance: float) -> None:
     _base_is_named(diagnose_loaded(_standing(cell, seed, _rocking(compliance)), cell))
 
 
 @pytest.mark.parametrize("softer", [5.0, 30.0])
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_base_on_one_soft_anchor_is_named(cell: Cell, seed: int, softer: float) -> None:
     found = diagnose_loaded(_standing(cell, seed, _on_anchors(softer)), cell)
     assert found.verdict == "missing_physics"

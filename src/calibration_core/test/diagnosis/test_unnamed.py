@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from robots import STIFFNESS
 from several_cases import measured, setup
 
@@ -42,6 +43,7 @@ def off(cell: Cell, seed: int, size: float) -> tuple[Diagnosis, np.ndarray]:
     return found, (found.compliance - 1 / np.array(STIFFNESS)) / np.sqrt(np.diag(found.compliance_covariance))
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_stiffness_beside_small_effects(tmp_path: Path) -> None:
     """Most of the tilts are too small to be named; with the noise alone a third of the values were outside."""
     cell = setup(tmp_path, 0, sigma=2e-5)

@@ -93,20 +93,20 @@ def test_without_noise_the_truth_is_exact(tmp_path: Path) -> None:
     assert found.fit.rms_after < 1e-9
 
 
-def test_intervals_cover_and_the_bound_is_attained(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("seeds", "within"), [(20, 0.06), pytest.param(60, 0.035, marks=pytest.mark.slow)])
+def test_intervals_cover_and_the_bound_is_attained(tmp_path: Path, seeds: int, within: float) -> None:
     cell = write_cell(tmp_path)
     values, stds, inside = [], [], np.zeros(6)
-    seeds = range(100, 160)
-    for seed in seeds:
-        base = loaded_readings(cell, 4)  # the same configurations and loads
-        clean = loaded_readings(cell, 4, noise=0.0)
+    base = loaded_readings(cell, 4)  # the same configurations and loads
+    clean = loaded_readings(cell, 4, noise=0.0)
+    for seed in range(100, 100 + seeds):
         noise = np.random.default_rng(seed).normal(0, 2e-5, base.position.shape)
         found = identify(_replace(clean, position=clean.position + noise), cell)
         values.append([joint.compliance for joint in found.stiffness])
         stds.append([joint.compliance_std for joint in found.stiffness])
         inside += [j.interval[0] <= k <= j.interval[1] for j, k in zip(found.stiffness, STIFFNESS, strict=True)]
-    assert (inside.mean() / len(seeds)) == pytest.approx(0.95, abs=0.035)
-    np.testing.assert_allclose(np.std(values, axis=0) / np.mean(stds, axis=0), 1.0, atol=0.3)
+    assert inside.mean() / seeds == pytest.approx(0.95, abs=within)
+    np.testing.assert_allclose(np.std(values, axis=0) / np.mean(stds, axis=0), 1.0, atol=10 * within)
 
 
 def test_frames_are_refitted_and_may_be_unknown(tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ def test_a_fault_of_tracker_or_target_is_seen_before_its_configuration_counts(
             assert float(size.split(" mm")[0]) == pytest.approx(5.0, abs=0.3)
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_two_targets_that_are_exchanged_between_two_configurations_are_seen_at_once(demo_cell: Cell, seed: int) -> None:
     """Their distance, and how they move within the configuration, tell nothing."""
     rng = np.random.default_rng(50)
