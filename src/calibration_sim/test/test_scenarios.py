@@ -45,11 +45,6 @@ def test_the_grid_is_the_one_that_is_promised() -> None:
     assert len({s.seed for s in scenarios}) == len(scenarios)
 
 
-def test_seeds_reproduce_and_differ() -> None:
-    assert grid(3) == grid(3)
-    assert all(a.seed != b.seed for a, b in zip(grid(3), grid(4), strict=True))
-
-
 def test_names_are_unique_and_do_not_follow_the_order() -> None:
     scenarios = grid(1)
     names = [recording_name(s, len(scenarios)) for s in scenarios]

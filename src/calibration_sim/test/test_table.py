@@ -11,7 +11,6 @@ import pytest
 from calibration_core.cell import Cell
 from calibration_core.errors import CellError
 from calibration_sim.cell.configurations import random_protocol
-from calibration_sim.cell.protocol import Configuration, Protocol
 from calibration_sim.cell.sensors import ForceTorqueFaults, Sensors, TrackerFaults
 from calibration_sim.cell.table import build_mechanism, measure, simulate_readings, solve
 from calibration_sim.cell.truth import WORKSHOP, draw_truth, nominal_truth
@@ -170,15 +169,3 @@ def test_a_sensor_without_a_place_is_refused(demo: Cell, changed: Changed) -> No
     lost = changed(demo, frames__force_torque=None)
     with pytest.raises(CellError, match="force_torque"):
         solve(lost, nominal_truth(lost), random_protocol(demo, 2, 0))
-
-
-def test_gravity_lowers_the_points(demo: Cell) -> None:
-    """Against a weightless copy, every stretched-out configuration hangs lower, by a plausible amount."""
-    truth = nominal_truth(demo)
-    weightless = dataclasses.replace(truth, gravity=np.zeros(3))
-    q = np.array([[0.3, 0.6, -0.4, 0.0, 0.5, 0.0], [-0.5, 0.9, -1.0, 1.0, 0.8, 0.4]])
-    protocol = Protocol(tuple(Configuration(i, row, np.zeros((1, 6))) for i, row in enumerate(q)))
-    heavy, light = (solve(demo, t, protocol).states.points @ truth.tracker.rotation.T for t in (truth, weightless))
-    sag = (light - heavy)[..., 2]
-    assert np.all(sag > 5e-4)
-    assert np.all(sag < 2e-2)

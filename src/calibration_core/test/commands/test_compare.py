@@ -84,14 +84,6 @@ def test_a_folder_with_a_rigid_joint(
         assert "Compliance of rigid joints" in (out / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_folder_says_how_many_steps_were_measured(identified: Path, simulated: Path, tmp_path: Path) -> None:
-    arguments = ("--cell", CELL, "--no-report", "--out", tmp_path / "out")
-    for pair in ((identified, identified), (simulated / "measurements.csv", identified)):
-        assert run("compare", *pair, *arguments) == 0
-        recording = result_of(tmp_path / "out")["recording"]
-        assert (recording["steps"], recording["loaded"]) == (12 * 9, True)
-
-
 def test_recordings_at_rest_leave_nothing_to_compare(
     simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
