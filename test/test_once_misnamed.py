@@ -174,6 +174,7 @@ def test_what_friction_of_another_law_leaves_at_its_joint_is_no_cause_of_its_own
     assert beside & {"nonlinear_stiffness", "pose_dependent_stiffness"}
 
 
+@pytest.mark.slow
 def test_friction_that_scatters_is_not_taken_for_noise(tmp_path: Path) -> None:
     """Uneven friction jumps from step to step as correlated noise of the tracker does, but along its joint alone."""
     found = answered(328, tmp_path).found
@@ -226,7 +227,7 @@ def test_the_stiffness_of_a_joint_is_as_uncertain_as_its_law_is_open(number: int
 @pytest.mark.parametrize(
     ("seed", "number", "effect"),
     [
-        pytest.param(PUBLISHED, 361, "soft_zone", id="the weakest zone resembles a clearance"),
+        pytest.param(PUBLISHED, 361, "soft_zone", id="the weakest zone resembles a clearance", marks=pytest.mark.slow),
         pytest.param(SEED, 368, "hysteresis", id="friction resembles creep", marks=pytest.mark.slow),
         pytest.param(4711, 384, "hysteresis", id="two laws share a joint", marks=pytest.mark.slow),
         pytest.param(PUBLISHED, 389, "soft_zone", id="two laws are open, and no sensor", marks=pytest.mark.slow),

@@ -337,12 +337,12 @@ def test_what_no_catalogue_holds_is_said_to_be_unexplained(cell: Cell) -> None:
     assert found.findings == ()
 
 
-@pytest.mark.parametrize("points", [pytest.param(POINTS, marks=pytest.mark.slow), ("mp1",)])
-def test_nothing_is_found_where_nothing_is(points: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(("points", "several"), [(("mp1",), 8), pytest.param(POINTS, 20, marks=pytest.mark.slow)])
+def test_nothing_is_found_where_nothing_is(points: tuple[str, ...], several: int) -> None:
     """One false alarm in a hundred is expected; two or more of twenty happen in 2 % of such tests."""
     cell = make_cell(points=points)
     alarms = 0
-    for seed in range(20):
+    for seed in range(several):
         misstated = np.random.default_rng(seed).uniform(0.7, 1.5)
         q = random_angles(1000 + seed, 45, 6)
         readings = make_readings(cell, truth_of(cell, seed), q, noise=misstated * SIGMA, seed=seed)

@@ -139,7 +139,12 @@ def test_yaml_and_languages_of_a_document(path: Path) -> None:
             assert isinstance(yaml.safe_load(text.replace("...", "")), dict | list)
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
+# The shortest in the gate; `make docs` runs all of them, and puts their outputs into the pages.
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=[pytest.mark.slow] * (path.stem != "first_calibration")) for path in NOTEBOOKS],
+    ids=lambda path: path.name,
+)
 def test_a_notebook_runs(path: Path) -> None:
     cells = notebook.run(path)
     shown = [cell for cell in cells if cell.html or cell.svg]

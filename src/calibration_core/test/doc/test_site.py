@@ -72,6 +72,7 @@ def test_every_field_of_the_cell_file_is_described() -> None:
     assert page_cell.page().count("\n| `") == len(rows)
 
 
+@pytest.mark.slow
 def test_every_effect_stands_with_its_picture(tmp_path: Path) -> None:
     page = page_effects.page(ROOT, tmp_path)
     for effect in catalogue():
