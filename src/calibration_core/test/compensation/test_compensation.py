@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from robots import write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.compensation.compensate import Compensation, compensate
@@ -42,11 +41,6 @@ APPROACH = AppliedEffect("approach_direction", {"joint": "joint_1"}, "sign", {"h
 GROWTH = AppliedEffect("thermal_growth", {"robot": "arm"}, "uniform", {"expansion": 1.2e-5})
 GAIN = AppliedEffect("wrench_gain", {"sensor": "force_torque"}, "fy", {"gain_fy": 0.01})
 LOW, HIGH = [-1.2, -0.4, -0.5, -1.5, 0.4, -1.5], [1.2, 0.6, 0.7, 1.5, 1.4, 1.5]
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
 
 
 def model_of(cell: Cell, *effects: AppliedEffect) -> ModelParameters:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robots import write_cell
 from scipy.interpolate import CubicHermiteSpline
 
 from calibration_core.cell import Cell
@@ -25,11 +24,6 @@ from calibration_core.motion.speed import SAFETY_RATED_SPEED, Monitored
 from calibration_core.outcomes.compensation import apply, deflected
 
 GOOD = [0.0, 0.1, 0.1, 0.2, 0.8, 0.3]
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
 
 
 def model_of(cell: Cell) -> ModelParameters:

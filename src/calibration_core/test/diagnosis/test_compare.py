@@ -24,16 +24,6 @@ from calibration_core.timeseries import Readings
 
 
 @pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
-
-
-@pytest.fixture(scope="module")
-def recorded(cell: Cell) -> Readings:
-    return loaded_readings(cell, 3)
-
-
-@pytest.fixture(scope="module")
 def simulated(cell: Cell, recorded: Readings) -> Readings:
     """What the cell file's model says of the same angles and wrenches, without noise."""
     return dataclasses.replace(recorded, position=predict_readings(recorded, cell, nominal_parameters(cell)))

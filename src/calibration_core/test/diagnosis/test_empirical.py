@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from loaded_cases import shifted, true_state
-from robots import loaded_readings, write_cell
+from robots import loaded_readings
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis import loaded
@@ -22,11 +22,6 @@ from calibration_core.report.results.diagnosis import diagnosis_dict
 from calibration_core.report.results.traffic_light import light_of
 
 JOINT, OTHER, SHARE, PHASE = 1, 2, 0.25, 0.7
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
 
 
 @pytest.fixture(scope="module")

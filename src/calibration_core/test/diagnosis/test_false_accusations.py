@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from loaded_cases import dahl, friction, shifted, true_state
-from robots import loaded_readings, write_cell
+from robots import loaded_readings
 
 from calibration_core.cell import Cell, load_cell
 from calibration_core.diagnosis.diagnose import diagnose
@@ -20,11 +20,6 @@ from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Readings,
 
 CELL = Path(__file__).resolve().parents[4] / "config" / "cells" / "small.cell.yaml"
 JOINT, WIDTH = 1, 1.5e-4  # rad, from one side of the friction to the other
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
 
 
 def with_friction(cell: Cell, seed: int) -> Readings:

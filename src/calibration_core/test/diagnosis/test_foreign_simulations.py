@@ -10,7 +10,7 @@ from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
-from robots import loaded_readings, write_cell
+from robots import loaded_readings
 from scipy.spatial.transform import Rotation
 
 from calibration_core.cell import Cell
@@ -30,16 +30,6 @@ from calibration_core.model.robot import chain_of
 from calibration_core.observations.observe import observe
 from calibration_core.recording.tables.table import write_table
 from calibration_core.timeseries import Readings
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
-
-
-@pytest.fixture(scope="module")
-def recorded(cell: Cell) -> Readings:
-    return loaded_readings(cell, 3)
 
 
 def simulated(recorded: Readings, cell: Cell) -> Readings:

@@ -22,11 +22,6 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.timeseries import Readings
 
 
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
-
-
 @pytest.mark.parametrize(("seed", "noise"), [(1, 0.7), (2, 1.0), (5, 1.5)])
 def test_nothing_is_found_where_nothing_is_whatever_the_noise(cell: Cell, seed: int, noise: float) -> None:
     found = diagnose_loaded(loaded_readings(cell, seed, noise=noise), cell)

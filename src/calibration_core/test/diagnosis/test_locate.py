@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from robots import loaded_readings, write_cell
+from robots import loaded_readings
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.location import CERTAIN, Located, locate
@@ -18,11 +18,6 @@ from calibration_core.model.statics import load_of, load_torque
 from calibration_core.timeseries import Float1D, Float2D, Readings
 
 NOISE = 2e-5
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import itertools
 
 import numpy as np
 import pytest
-from robots import cell_dict, loaded_readings, write_cell
+from robots import cell_dict, loaded_readings
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.loaded import diagnose_loaded
@@ -19,11 +19,6 @@ from calibration_core.timeseries import Readings
 
 ANCHORED, LOOSE, ON_A_PALLET = 6e-8, 4e-7, 1e-6  # rad/(N*m), for a robot of 240 kg; anchors usually leave 1e-8 to 1e-7
 ANCHOR, BOLT = 0.35, 4e8  # m from the axis of joint 1 along x and y; N/m in every direction
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
 
 
 def _turned(axis: int, angle: float) -> np.ndarray:

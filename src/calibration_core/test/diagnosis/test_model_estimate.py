@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from loaded_cases import TRUE, planted
-from robots import STIFFNESS, loaded_readings, write_cell
+from robots import STIFFNESS, loaded_readings
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.diagnose import diagnose
@@ -26,11 +26,6 @@ BEARING = [2.5e-7, 1.2e-7, 0.5e-7]
 SINE, COSINE = 1.0e-4, 2.5e-4  # rad
 WAVE = AppliedEffect("transmission_error", {"joint": "joint_3"}, "order 2", {"sine": SINE, "cosine": COSINE})
 SEEDS = (5, 7, 8, 9)
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
 
 
 def groups(estimate: GaussianEstimate) -> set[str]:

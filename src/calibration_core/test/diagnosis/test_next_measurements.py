@@ -33,11 +33,6 @@ from calibration_core.report.sections.diagnosis import next_blocks
 from calibration_core.timeseries import Readings
 
 
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
-
-
 def state_at(readings: Readings, cell: Cell) -> State:
     model = nominal_parameters(cell)
     problem = build_problem(readings, cell, chain_of(cell), model)

@@ -25,11 +25,6 @@ NOISE = 2e-5  # m
 TILT = np.array([1.5e-3, -0.8e-3, 0.0])  # rad
 
 
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
-
-
 def test_a_base_that_tilts_by_the_weight_is_no_tracker_that_stands_elsewhere(cell: Cell) -> None:
     """The robot's weight tilts the base alike in all postures; what was found says so."""
     readings = loaded_readings(cell, 3, 16)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from loaded_cases import dahl, friction, shifted, true_state
-from robots import loaded_readings, write_cell
+from robots import loaded_readings
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis import loaded
@@ -19,11 +19,6 @@ from calibration_core.diagnosis.loaded import diagnose_loaded
 from calibration_core.policy import EQUIVALENT
 
 JOINT, SHARE, PHASE = 1, 0.3, 0.2
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
 
 
 @pytest.mark.parametrize(

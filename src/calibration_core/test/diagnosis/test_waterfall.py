@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from loaded_cases import planted
-from robots import STIFFNESS, loaded_readings, write_cell
+from robots import STIFFNESS, loaded_readings
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison.result import WaterfallStep
@@ -24,11 +24,6 @@ from calibration_core.report.view3d.space import space_view
 from calibration_core.timeseries import Readings
 
 BENT = [5e-7, 3e-7, 0.0]  # rad/(N*m), joint 3 about other axes than its own
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
 
 
 def simulated(recorded: Readings, cell: Cell) -> Readings:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from robots import loaded_readings, write_cell
 from scipy.spatial.transform import Rotation
 
 from calibration_core.cell import Cell
@@ -20,16 +19,6 @@ from calibration_core.identification.stiffness.predict import predict_readings
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.parameters import AppliedEffect
 from calibration_core.timeseries import Float2D, Readings
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
-
-
-@pytest.fixture(scope="module")
-def recorded(cell: Cell) -> Readings:
-    return loaded_readings(cell, 3)
 
 
 def simulated(recorded: Readings, cell: Cell, wrench: Float2D) -> Readings:

@@ -7,7 +7,7 @@ import itertools
 
 import numpy as np
 import pytest
-from robots import LEVELS, STIFFNESS, loaded_readings, write_cell
+from robots import LEVELS, STIFFNESS, loaded_readings
 
 from calibration_core.cell import Cell
 from calibration_core.errors import IdentificationError
@@ -27,12 +27,6 @@ class Planned:
     number: int
     q: np.ndarray
     steps: np.ndarray
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    """Return the test cell."""
-    return write_cell(tmp_path_factory.mktemp("cell"))
 
 
 @pytest.fixture(scope="module")

@@ -10,18 +10,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from robots import STIFFNESS, loaded_readings, write_cell
+from robots import STIFFNESS, loaded_readings
 
 from calibration_core.cell import Cell
 from calibration_core.identification.identify import identify
 from calibration_core.report.summary import summary
 
 APART = np.array([0.6, -0.5, 0.4])  # m, from one target to the other
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robots import STIFFNESS, loaded_readings, write_cell
+from robots import STIFFNESS, loaded_readings
 
 from calibration_core.cell import Cell
 from calibration_core.identification.stiffness.problem import build_problem
@@ -23,11 +23,6 @@ from calibration_core.model.statics import load_of
 from calibration_core.timeseries import Readings
 
 SINCE_THE_BEGINNING = {"creep", "tracker_drift", "wrench_drift"}  # of a recording, which a part lacks
-
-
-@pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    return write_cell(tmp_path_factory.mktemp("cell"))
 
 
 def state_at(readings: Readings, cell: Cell) -> State:
