@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from calibration_sim.cell.protocol import Protocol
 from calibration_sim.cell.sensors import read_tracker, read_wrench
 from calibration_sim.cell.truth import NOISE_STREAM, Truth, generator
 from calibration_sim.mechanics.chain import Chain, read_chain
+from calibration_sim.mechanics.mjcf import Spring
 from calibration_sim.mechanics.statics import Mechanism
 
 STEP_SECONDS = 5.0
@@ -67,8 +69,14 @@ class Solved:
             array.setflags(write=False)
 
 
-def build_mechanism(cell: Cell, truth: Truth, chain: Chain | None = None) -> Mechanism:
+def build_mechanism(cell: Cell, truth: Truth, chain: Chain | None = None, springs: Sequence[Spring] = ()) -> Mechanism:
     """Build the true robot of a cell.
+
+    Args:
+        cell: As its file states it.
+        truth: What it is made of.
+        chain: The robot; None: the cell's.
+        springs: What gives way besides the joints.
 
     Raises:
         CellError: The robot cannot be read.
@@ -80,6 +88,7 @@ def build_mechanism(cell: Cell, truth: Truth, chain: Chain | None = None) -> Mec
         joint_frame_errors=truth.joint_frame_errors,
         joint_zero=truth.joint_zero,
         wrench_point=truth.wrench_point,
+        springs=springs,
     )
 
 

@@ -15,12 +15,10 @@ from numpy.typing import ArrayLike
 
 from calibration_core.cell import Cell
 from calibration_core.timeseries import Float1D, Float2D, Float3D, read_only
-from calibration_sim.cell.table import solve_states
+from calibration_sim.cell.table import build_mechanism, solve_states
 from calibration_sim.cell.timeline import RINGING_AFTER_MOTION, RINGING_AFTER_RAMP, RINGING_FREQUENCY, RINGING_TIME
 from calibration_sim.cell.truth import Truth
-from calibration_sim.mechanics.chain import read_chain
 from calibration_sim.mechanics.mjcf import Spring
-from calibration_sim.mechanics.statics import Mechanism
 
 TICK = 1e-3  # s, between the angles of a motion that are looked at
 BRAKING = 0.1  # s, from full speed to rest on the path
@@ -97,15 +95,7 @@ class LiveCell:
             springs: What gives way besides the joints, and stands in no cell file.
         """
         self.cell, self.truth = cell, truth
-        self.mechanism = Mechanism(
-            read_chain(cell),
-            truth.stiffness,
-            truth.gravity,
-            joint_frame_errors=truth.joint_frame_errors,
-            joint_zero=truth.joint_zero,
-            wrench_point=truth.wrench_point,
-            springs=springs,
-        )
+        self.mechanism = build_mechanism(cell, truth, springs=springs)
         self.time = 0.0
         self.q: Float1D = np.array(home, dtype=np.float64)
         self.load: Float1D = np.zeros(6)

@@ -18,6 +18,7 @@ from calibration_core.errors import EquilibriumError
 from calibration_core.timeseries import Float1D, Float2D, Float3D, Int1D
 from calibration_sim.cell.protocol import Protocol
 from calibration_sim.cell.sensors import Sensors
+from calibration_sim.cell.table import build_mechanism
 from calibration_sim.cell.truth import Truth
 from calibration_sim.effects.effect import At, Effect, Session
 from calibration_sim.mechanics.chain import read_chain
@@ -70,16 +71,8 @@ class World:
     def mechanism(self) -> Mechanism:
         """Build the robot."""
         chain = functools.reduce(lambda chain, effect: effect.change_chain(chain), self.effects, read_chain(self.cell))
-        truth = self.actual
-        return Mechanism(
-            chain,
-            truth.stiffness,
-            truth.gravity,
-            joint_frame_errors=truth.joint_frame_errors,
-            joint_zero=truth.joint_zero,
-            wrench_point=truth.wrench_point,
-            springs=[spring for effect in self.effects for spring in effect.springs(chain)],
-        )
+        springs = [spring for effect in self.effects for spring in effect.springs(chain)]
+        return build_mechanism(self.cell, self.actual, chain, springs)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -13,11 +13,11 @@ import numpy as np
 
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 from calibration_sim.cell.protocol import Protocol
+from calibration_sim.cell.table import build_mechanism
 from calibration_sim.effects.effect import Label
 from calibration_sim.effects.structure import BEARING, Base, Beam, Tool
 from calibration_sim.mechanics.chain import Chain
 from calibration_sim.mechanics.mjcf import Spring
-from calibration_sim.mechanics.statics import Mechanism
 from calibration_sim.scenarios.world import World
 
 UNNAMED = Label("structure", "any", {})
@@ -65,16 +65,8 @@ def yielding(world: World, protocol: Protocol) -> Yielding:
     mechanism = world.mechanism()
     chain, truth = mechanism.chain, world.actual
     springs = _springs(chain)
-    order = _order(chain, [spring for group in springs.values() for spring in group])
-    opened = Mechanism(
-        chain,
-        truth.stiffness,
-        truth.gravity,
-        joint_frame_errors=truth.joint_frame_errors,
-        joint_zero=truth.joint_zero,
-        wrench_point=truth.wrench_point,
-        springs=[spring for group in springs.values() for spring in group],
-    )
+    every = [spring for group in springs.values() for spring in group]
+    order, opened = _order(chain, every), build_mechanism(world.cell, truth, chain, every)
     points = np.array(list(truth.points.values()))
     motion, load, angles = [], [], []
     for configuration in protocol.configurations:
