@@ -139,10 +139,13 @@ class Cell:
     def seconds(self) -> float:
         return time.monotonic() + self.leap
 
-    def measure(self, answered: Callable[[Measured], None]) -> None:
+    def measure(self, _configuration: int, answered: Callable[[Measured], None]) -> None:
         end = time.monotonic_ns() + 20_000_000  # joint states of the same time are still to come
         points = (SimpleNamespace(end=end),)
         answered(Measured(fault=self.fault) if self.fault else Measured(points=points))  # type: ignore[arg-type]
+
+    def exclude(self, command: m.TakeReading, excluded: dict[str, str]) -> None:
+        pass
 
     def apply_load(self, command: m.RequestLoad, answered: Callable[[bool, str], None]) -> None:
         if command.unknown:

@@ -69,6 +69,8 @@ class World:
         self.average = 0.0  # s that an average takes
         self.force = [0.0, 0.0, 0.0]  # N, what the operator was asked to pull with, and does
         self.tracker_fault = ""  # exchanged: the first two targets are taken for each other; knocked: one, by 5 mm
+        self.excluded: dict[str, str] = {}  # points that an operator leaves out of the next reading
+        self.asked: list[list[str]] = []  # points of every reading
         self._bent = Bent()
         self.node.create_subscription(ProcedureState, PROCEDURE.relative, self._on_target, PROCEDURE.qos)
         self.tracker = ActionServer(self.node, Measure, "tracker/measure", self._measure)
@@ -102,18 +104,27 @@ class World:
             seen["mp1"], seen["mp2"] = seen["mp2"], seen["mp1"]
         elif self.tracker_fault == "knocked":
             seen["mp1"] = seen["mp1"] + np.array([3e-3, 4e-3, 0.0])
+        self.asked.append(list(goal.request.names))
+        excluded, self.excluded = self.excluded, {}
         means = [
             Mean(name, "tracker", at - 10**8, at, Average(seen[name], 1e-10 * np.eye(3), 20, 20.0, 0))
             for name in goal.request.names
+            if name not in excluded
         ]
         goal.succeed()
-        return Measure.Result(outcome=to_outcome(Outcome.OK, ""), averages=[to_average(mean) for mean in means])
+        return Measure.Result(
+            outcome=to_outcome(Outcome.OK, ""),
+            averages=[to_average(mean) for mean in means],
+            excluded=list(excluded),
+            exclusions=list(excluded.values()),
+        )
 
     async def _half_way(self, goal: Any) -> None:
         """Say that half of the window is there, and take some time for the rest."""
         ready = Future(executor=self.node.executor)
         timer = self.node.create_timer(0.5 * self.average, lambda: ready.set_result(None))
-        goal.publish_feedback(Measure.Feedback(share_done=0.5, text="waiting for samples"))
+        point, *left = goal.request.names
+        goal.publish_feedback(Measure.Feedback(share_done=0.5, text="waiting for samples", point=point, left=left))
         await ready
         self.node.destroy_timer(timer)
 

@@ -19,6 +19,7 @@ pytest.importorskip("calibration_interfaces.msg", reason="the messages are not b
 
 from calibration_interfaces.action import Measure
 from calibration_interfaces.msg import Outcome
+from calibration_interfaces.srv import PointRequest
 from geometry_msgs.msg import PointStamped
 from goals import GoalClient
 from sensor_msgs.msg import JointState
@@ -487,6 +488,70 @@ def test_an_operator_is_told_what_to_measure_and_types_it(
     assert result.outcome.code == Outcome.OK, result.outcome.text
     np.testing.assert_allclose(result.averages[0].mean, place / 1e3, atol=1e-6)
     assert result.averages[0].samples == 1
+
+
+def test_an_operator_changes_the_order_and_leaves_a_point_out(
+    spinning: Any, feeds: list[Feed], until: Callable[..., None]
+) -> None:
+    node = spinning.add(
+        TrackerNode(context=spinning.context, parameter_overrides=overrides(driver="manual", window=0.05, timeout=60.0))
+    )
+    client = spinning.plain()
+    moving(client, node, feeds)
+    typed = client.create_publisher(String, "/tracker/typed", 10)
+    asking = client.create_client(PointRequest, "/tracker/point")
+    assert asking.wait_for_service(15.0)
+    until(lambda: node.joints.arrived(Q) and typed.get_subscription_count())
+    skip, repeat, exclude = PointRequest.Request.SKIP, PointRequest.Request.REPEAT, PointRequest.Request.EXCLUDE
+
+    def ask(what: int, point: str = "", name: str = "A. Smith", reason: str = "") -> str:
+        request = PointRequest.Request(what=what, point=point, operator_name=name, reason=reason)
+        return str(asking.call(request, timeout_sec=10.0).outcome.text)
+
+    assert ask(skip) == "no point is being measured one after the other"
+    goals = GoalClient(client, Measure, "/tracker/measure")
+    assert goals.wait_for_server(15.0)
+    told: list[tuple[str, list[str]]] = []
+
+    def hear(message: Any) -> None:
+        told.append((message.feedback.point, list(message.feedback.left)))
+
+    names = ["mp1", "mp2", "mp3"]
+    handle = finish(goals.send_goal_async(Measure.Goal(names=names), feedback_callback=hear))
+
+    def measures(name: str, left: list[str]) -> None:
+        until(lambda: told[-1:] == [(name, left)])
+        until(lambda: node.beam.awaited.startswith(f"{name}: nobody has written it"))
+
+    def write(name: str) -> None:
+        typed.publish(String(data=" ".join(f"{one:.7f}" for one in Aim(node.cell).place(name, Q))))
+
+    measures("mp1", ["mp2", "mp3"])
+    write("mp1")
+    measures("mp2", ["mp3"])
+    assert ask(skip, name=" ") == "the name of who answers for it is missing"
+    assert ask(exclude) == "the reason is missing: say why the point is left out"
+    assert ask(skip, "mp1") == "mp1 is measured already"
+    assert ask(skip, "mp4") == "mp4 is not measured in this reading"
+    assert ask(skip) == ""
+    measures("mp3", ["mp2"])
+    assert ask(repeat, "mp1") == ""
+    measures("mp1", ["mp3", "mp2"])
+    assert ask(exclude, "mp2", reason="the cable hides it") == ""
+    write("mp1")
+    measures("mp3", [])
+    assert ask(skip) == "mp3 is the last one that is left"
+    write("mp3")
+    result = finish(handle.get_result_async()).result
+    assert result.outcome.code == Outcome.OK, result.outcome.text
+    assert [one.name for one in result.averages] == ["mp1", "mp3"]
+    assert (list(result.excluded), list(result.exclusions)) == (["mp2"], ["by A. Smith: the cable hides it"])
+    handle = finish(goals.send_goal_async(Measure.Goal(names=["mp2", "mp3"], timeout=0.5), feedback_callback=hear))
+    measures("mp2", ["mp3"])
+    assert ask(exclude, reason="hidden") == ""
+    assert ask(exclude, "mp3", reason="hidden").startswith("mp3 is the last point of this reading")
+    result = finish(handle.get_result_async()).result
+    assert (result.outcome.code, list(result.excluded)) == (Outcome.TIMED_OUT, ["mp2"])
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ from calibration_core.cell import load_cell
 from calibration_core.errors import RecordingError
 from calibration_core.recording.bags.bag import read_bag
 from calibration_core.recording.messages.kinds import StreamKind
-from calibration_core.timeseries import Phase
+from calibration_core.timeseries import Note, Phase
 
 ROOT = Path(__file__).resolve().parents[3]
 CELL_FILE = ROOT / "config" / "cells" / "demo.cell.yaml"
@@ -398,12 +398,15 @@ def test_a_bag_with_configurations_of_two_plans_is_refused(
     for k in range(50):
         publisher.publish(joint_state(k))
         tracker.publish(point(k))
+    text, excluded = "mp2 by A. Smith: hidden", SessionEvent.POINT_EXCLUDED
     events.publish(SessionEvent(plan_sha256="a" * 64))
-    events.publish(SessionEvent(plan_sha256="a" * 64))
+    events.publish(SessionEvent(plan_sha256="a" * 64, kind=excluded, configuration=3, text=text))
     until(lambda: node._bag.messages >= 102)
     moment = time.monotonic()
     until(lambda: node._written > moment)  # on the disk
-    assert read_bag(tmp_path / "bag", CELL).provenance.plan_sha256 == "a" * 64
+    found = read_bag(tmp_path / "bag", CELL)
+    assert found.provenance.plan_sha256 == "a" * 64
+    assert Note("point_excluded", "configuration 3", text) in found.notes
     events.publish(SessionEvent(plan_sha256="b" * 64))
     until(lambda: node._bag.messages >= 103)
     moment = time.monotonic()

@@ -260,11 +260,11 @@ def test_no_reading_counts_of_a_robot_that_was_not_sound(bench: Bench, until: An
         bench.say(permitted=False)
         bench.say(permitted=True)
 
-    def measured(answered: Any) -> None:
+    def measured(configuration: int, answered: Any) -> None:
         asked.append(1)
         if moment != "between" and len(asked) == (1 if moment == "in the unloaded window" else 2):
             fault()
-        measure(answered)
+        measure(configuration, answered)
 
     def loaded(command: m.RequestLoad, answered: Any) -> None:
         if moment == "between" and len(asked) == 1:
@@ -298,11 +298,11 @@ def test_200_random_moments_of_a_robot_that_is_not_sound(bench: Bench) -> None:
     kept: list[tuple[float, float]] = []
     measure, confirm = bench.cell.measure, bench.cell.confirm
 
-    def measured(answered: Any) -> None:
+    def measured(configuration: int, answered: Any) -> None:
         command = runner._reading[max(runner._reading)]
         if command.step == 0:
             asked[command.configuration] = time.monotonic()
-        threading.Timer(float(rng.uniform(0.02, 0.1)), lambda: measure(answered)).start()
+        threading.Timer(float(rng.uniform(0.02, 0.1)), lambda: measure(configuration, answered)).start()
 
     def confirmed(command: m.TakeReading, averages: Any) -> None:
         confirm(command, averages)

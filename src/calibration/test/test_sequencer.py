@@ -48,6 +48,7 @@ from calibration_core.errors import InputError, SessionGoneError
 from calibration_core.files.yaml_file import yaml_text
 from calibration_core.measurement import messages as m
 from calibration_core.measurement.session import Session
+from calibration_core.recording.session import read_session
 from calibration_core.recording.session_values import Event
 
 
@@ -145,6 +146,29 @@ def test_it_is_told_how_far_an_average_is(
     assert 0.5 in told
     assert all(share in (0.0, 0.5) or math.isnan(share) for share in told)  # by its end nothing is averaged
     assert all(math.isnan(one.averaged) for one in operator.states if one.state != ProcedureState.READING)
+
+
+def test_a_point_that_the_operator_leaves_out_stays_out_of_the_posture(
+    spinning: Any, world: World, operator: Operator, plan: Path, tmp_path: Path, until: Any
+) -> None:
+    spinning.add(SequencerNode(context=spinning.context, parameter_overrides=overrides()))
+    why = "by A. Smith: the cable hides it"
+    world.average, world.excluded = 0.5, {"mp2": why}
+    handle = operator.measure(plan, tmp_path / "session")
+    world.q = np.array(GOAL)
+    until(lambda: operator.loaded(7, 1).code == Outcome.OK)
+    until(lambda: operator.loaded(7, 1).code == Outcome.OK)
+    result = ended(handle)
+    assert (result.outcome.code, result.readings) == (Outcome.OK, 4)
+    assert world.asked == [["mp1", "mp2", "mp3"], ["mp1", "mp3"]]
+    told = [(one.configuration, one.text) for one in operator.events if one.kind == SessionEvent.POINT_EXCLUDED]
+    assert told == [(7, f"mp2 {why}")]
+    reading = [one for one in operator.states if one.state == ProcedureState.READING and one.point]
+    assert {(one.point, *one.points_left) for one in reading} == {("mp1", "mp2", "mp3"), ("mp1", "mp3")}
+    assert list(reading[-1].points_excluded) == ["mp2"]
+    found, _ = read_session(tmp_path / "session", load_cell(CELL))
+    assert sorted({found.points[one] for one in found.point}) == ["mp1", "mp3"]
+    assert ("point_excluded", "configuration 7", f"mp2 {why}") in [(n.kind, n.place, n.text) for n in found.notes]
 
 
 def test_stop_and_resume_later(

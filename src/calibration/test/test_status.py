@@ -41,6 +41,7 @@ from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
 
 PULL = np.array([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
 NAMES = ("guard", "sequencer")
+NOTHING_READ = SimpleNamespace(averaged=math.nan, under_way=("", ()), excluded={})
 
 
 @dataclasses.dataclass
@@ -149,7 +150,7 @@ def test_who_resumes_is_told_and_after_the_end_nothing_is_left(watched: Watched)
     report = ProcedureReport(node)
 
     def reported() -> tuple[bool, bool]:
-        report.publish(watched.sequence, lambda _: PresentLoad(), math.nan, moving=False)
+        report.publish(watched.sequence, lambda _: PresentLoad(), NOTHING_READ, moving=False)
         return node.published[-1].paused, node.published[-1].held
 
     begin(watched)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from calibration_interfaces.action import Measure
@@ -21,11 +21,15 @@ from calibration.conversions import Mean, from_average, to_stamp
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Measured:
-    """What the instruments answered; `fault` is empty if all of them did."""
+    """What the instruments answered; `fault` is empty if all of them did.
+
+    In `excluded` stand the points that an operator has left out meanwhile, with by whom and why.
+    """
 
     points: tuple[Mean, ...] = ()
     wrench: Mean | None = None
     fault: str = ""
+    excluded: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
 
 class Instruments:
@@ -37,6 +41,7 @@ class Instruments:
         if force_torque:
             self.servers["force_torque"] = Server(node, Measure, force_torque)
         self._shares: dict[str, float] = {}  # of their windows, while an average is being taken
+        self.under_way: tuple[str, tuple[str, ...]] = ("", ())  # the point that a beam is aimed at, and those after it
 
     @property
     def averaged(self) -> float:
@@ -65,6 +70,8 @@ class Instruments:
                 with lock:
                     results[instrument] = (None if answer is None else answer.result, text)
                     shares[instrument] = 1.0
+                    if instrument == "tracker":
+                        self.under_way = ("", ())
                     complete = len(results) == len(self.servers)
                 if complete:
                     shares.clear()
@@ -77,6 +84,8 @@ class Instruments:
                 with lock:
                     if instrument not in results:
                         shares[instrument] = float(message.feedback.share_done)
+                        if instrument == "tracker":
+                            self.under_way = (str(message.feedback.point), tuple(message.feedback.left))
 
             return take
 
@@ -93,8 +102,10 @@ def _together(results: dict[str, Any]) -> Measured:
             faults.append(text)
         elif result.outcome.code != Outcome.OK:
             faults.append(f"{instrument}: {result.outcome.text}")
+    tracker = results["tracker"][0]
+    excluded = {} if tracker is None else dict(zip(tracker.excluded, tracker.exclusions, strict=True))
     if faults:
-        return Measured(fault="; ".join(faults))
-    points = tuple(from_average(average) for average in results["tracker"][0].averages)
+        return Measured(fault="; ".join(faults), excluded=excluded)
+    points = tuple(from_average(average) for average in tracker.averages)
     wrench = results.get("force_torque")
-    return Measured(points, None if wrench is None else from_average(wrench[0].averages[0]))
+    return Measured(points, None if wrench is None else from_average(wrench[0].averages[0]), excluded=excluded)

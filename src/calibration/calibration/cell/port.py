@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,11 +30,12 @@ PATIENCE = 600.0  # s of wall time, for an instrument's answer; its own timeout 
 SOURCE = "sequencer"
 ERRORS = frozenset({m.Kind.FAULT, m.Kind.ABORTED})
 AT_REFERENCE = frozenset({  # where number 0 is the reference; otherwise it says that nothing is under way
-    m.Kind.REFERENCE, m.Kind.LOAD_APPLIED, m.Kind.LOAD_OVERRIDDEN, m.Kind.READING_REJECTED,
+    m.Kind.REFERENCE, m.Kind.LOAD_APPLIED, m.Kind.LOAD_OVERRIDDEN, m.Kind.READING_REJECTED, m.Kind.POINT_EXCLUDED,
     m.Kind.CONFIGURATION_RETRIED, m.Kind.CONFIGURATION_SKIPPED,
 })  # fmt: skip
 WARNINGS = frozenset({
     m.Kind.PERMISSION_LOST, m.Kind.CONDITION_VIOLATED, m.Kind.CONFIGURATION_RETRIED, m.Kind.CONFIGURATION_SKIPPED,
+    m.Kind.POINT_EXCLUDED,
 })  # fmt: skip
 
 
@@ -72,6 +73,8 @@ class CellPort:
         self._attempt: int | None = None  # row of the session
         self._awaited: tuple[m.RequestLoad, Callable[[bool, str], None]] | None = None
         self._reached: Reached | None = None
+        self.excluded: dict[str, str] = {}  # points of the present configuration, with by whom and why
+        self._posture: int | None = None  # whose those are
         self.confirmed = 0
         done = session.completed[-1:]  # what was measured last is how the targets stand
         checks.targets.restore([one for one in session.confirmed() if one.configuration in done])
@@ -207,11 +210,21 @@ class CellPort:
         """Share of the averaging window of the reading under way, 0 to 1; NaN: nothing is averaged."""
         return self._node.instruments.averaged
 
-    def measure(self, answered: Callable[[Measured], None]) -> None:
-        """Average over one window, which begins no earlier than the robot was last seen to stand."""
+    @property
+    def under_way(self) -> tuple[str, tuple[str, ...]]:
+        """The point that a beam is aimed at, and those that come after it; empty where there is none."""
+        return self._node.instruments.under_way
+
+    def measure(self, configuration: int, answered: Callable[[Measured], None]) -> None:
+        """Average over one window, which begins no earlier than the robot was last seen to stand.
+
+        Points that an operator has excluded stay so until the next configuration.
+        """
+        self._stand(configuration)
+        points = [name for name in self._node.cell.points if name not in self.excluded]
         window, timeout = self._node.value("window"), self._node.value("measure_timeout")
         since = self._node.joints.until
-        self._node.instruments.measure(self._node.cell.points, window, timeout, since, PATIENCE, answered)
+        self._node.instruments.measure(points, window, timeout, since, PATIENCE, answered)
 
     def confirm(self, command: m.TakeReading, measured: Measured) -> None:
         """Put the readings of one step on the disk, then announce them.
@@ -224,6 +237,7 @@ class CellPort:
         if lost:
             raise ReadingError(lost)
         self.write()
+        self.exclude(command, measured.excluded)
         self._checks.reading(command, measured)
         place = (command.configuration, command.step)
         temperature = self._node.conditions.temperature
@@ -239,6 +253,16 @@ class CellPort:
                 reading, self._identity, command.attempt, self._node.cell.robot.joints, mean.frame, tare
             )
             self._node.readings.publish(message)
+
+    def _stand(self, configuration: int) -> None:
+        if configuration != self._posture:
+            self._posture, self.excluded = configuration, {}
+
+    def exclude(self, command: m.TakeReading, excluded: Mapping[str, str]) -> None:
+        """Leave points out of the configuration from now on, and record by whom and why."""
+        for name, why in excluded.items():
+            self.excluded[name] = why
+            self.carry_out(m.Record(m.Kind.POINT_EXCLUDED, command.configuration, command.step, f"{name} {why}"))
 
     def _row(self, configuration: int) -> int:
         if configuration == REFERENCE_NUMBER or self._attempt is None:
@@ -263,6 +287,7 @@ class CellPort:
                 self._node.steps.publish(to_step(now, command.configuration, command.step, command.phase))
             case m.BeginAttempt():
                 self._checks.begin()
+                self._stand(command.configuration)
                 self.keep(lambda: self._begin_attempt(command.configuration, now))
             case m.EndAttempt():
                 self.keep(lambda: self._end_attempt(completed=command.completed, reason=command.reason))

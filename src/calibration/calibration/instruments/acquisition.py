@@ -62,13 +62,17 @@ class MeasuringError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Request:
-    """What is to be averaged: streams, window and timeout in s, samples at least, first stamp that counts, ns."""
+    """What is to be averaged: streams, window and timeout in s, samples at least, first stamp that counts, ns.
+
+    In `excluded` stand points that an operator has left out meanwhile, with by whom and why.
+    """
 
     streams: tuple[Stream, ...]
     window: float
     timeout: float
     min_samples: int
     since: int = 0
+    excluded: dict[str, str] = dataclasses.field(default_factory=dict)
 
 
 class AcquisitionNode(CalibrationNode):
@@ -157,6 +161,10 @@ class AcquisitionNode(CalibrationNode):
     def tare_number(self) -> int:
         """Return the number of the tare in force; 0: none."""
         return 0
+
+    def under_way(self) -> tuple[str, list[str]]:
+        """Return the point that a beam is aimed at, and those that come after it."""
+        return "", []
 
     def outputs(self) -> Sequence[Any]:
         """Return the publishers of what is measured."""
@@ -292,25 +300,33 @@ class AcquisitionNode(CalibrationNode):
                 raise MeasuringError(Outcome.NOT_AVAILABLE, f"{stream.name}: {text}")
 
     async def _on_measure(self, goal: Any) -> Any:
-        last = [-math.inf]
+        last = (-math.inf, "")
 
         def report(share: float, text: str) -> None:
-            if time.monotonic() - last[0] >= 0.1:
-                last[0] = time.monotonic()
-                goal.publish_feedback(Measure.Feedback(share_done=float(share), text=text))
+            nonlocal last
+            if text != last[1] or time.monotonic() - last[0] >= 0.1:
+                last, (point, left) = (time.monotonic(), text), self.under_way()
+                goal.publish_feedback(Measure.Feedback(share_done=float(share), text=text, point=point, left=left))
 
-        asked = goal.request
+        asked, excluded = goal.request, dict[str, str]()
         try:
             request = self.asked(asked.names, asked.window, asked.timeout, asked.min_samples)
-            request = dataclasses.replace(request, since=stamp_ns(asked.since))
+            request = dataclasses.replace(request, since=stamp_ns(asked.since), excluded=excluded)
             means = await Background(
                 self, lambda: self.measure(request, lambda: bool(goal.is_cancel_requested), report)
             )
         except MeasuringError as error:
             goal.canceled() if error.code == Outcome.CANCELLED else goal.abort()
-            return Measure.Result(outcome=to_outcome(error.code, str(error)))
-        goal.succeed()
-        return Measure.Result(outcome=to_outcome(Outcome.OK, ""), averages=[to_average(mean) for mean in means])
+            outcome, means = to_outcome(error.code, str(error)), []
+        else:
+            goal.succeed()
+            outcome = to_outcome(Outcome.OK, "")
+        return Measure.Result(
+            outcome=outcome,
+            averages=[to_average(mean) for mean in means],
+            excluded=list(excluded),
+            exclusions=list(excluded.values()),
+        )
 
 
 class _Deadline:

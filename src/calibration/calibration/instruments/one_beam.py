@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import threading
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from calibration_interfaces.msg import Outcome
+from calibration_interfaces.srv import PointRequest
 
 from calibration.conversions import Mean, Sample
 from calibration.instruments.acquisition import MeasuringError
@@ -19,8 +21,23 @@ from calibration_core.observations.average import Average, average
 from calibration_core.observations.window import settled_from
 from calibration_core.timeseries import Float1D
 
+IDLE = "no point is being measured one after the other"
 Report = Callable[[float, str], None]
 """Gets the share done and what is under way, for a person."""
+
+
+class _OtherwiseError(Exception):
+    """The operator wants something else than what is being measured."""
+
+
+@dataclasses.dataclass(eq=False)
+class _Turns:
+    """Targets of one request: measured, left (the first is being measured), and excluded, with by whom and why."""
+
+    left: list[str]
+    excluded: dict[str, str]
+    means: dict[str, tuple[Mean, list[Sample]]] = dataclasses.field(default_factory=dict)
+    changed: bool = False  # the one that is being measured is another one now, or begins again
 
 
 class OneBeam:
@@ -40,6 +57,8 @@ class OneBeam:
         self._tolerance, self._frame = np.full(3, tolerance), frame
         self._lock = threading.Lock()  # there is one beam
         self._name = self._awaited = ""
+        self._turns: _Turns | None = None  # while targets are measured
+        self._asking = threading.Lock()  # they change by one thread at a time
 
     @property
     def awaited(self) -> str:
@@ -47,7 +66,13 @@ class OneBeam:
         return self._awaited or f"{self._name}: {self._driver.awaited}"
 
     def measure(
-        self, streams: Sequence[Stream], window: float, since: int, turn: Callable[[], Wait], report: Report
+        self,
+        streams: Sequence[Stream],
+        window: float,
+        since: int,
+        turn: Callable[[], Wait],
+        report: Report,
+        excluded: dict[str, str] | None = None,
     ) -> tuple[list[Mean], list[tuple[Stream, Sample]]]:
         """Measure targets one after the other; nothing of it counts where one of them cannot be.
 
@@ -57,9 +82,10 @@ class OneBeam:
             since: ns, before which nothing is measured.
             turn: Begins the time that one target may take.
             report: Gets which target is under way, and which are left.
+            excluded: Gets targets that the operator leaves out, with by whom and why.
 
         Returns:
-            A mean per target, and the samples behind them.
+            A mean per target that is not excluded, in the order of `streams`, and the samples behind them.
 
         Raises:
             MeasuringError: A target was not found, not measured, or cannot be where it was found.
@@ -72,17 +98,69 @@ class OneBeam:
             self._awaited = "the node's clock is behind the robot's"
             while wait() < since:
                 pass
-            tried, means, samples = self._aim.copy(), [], []
-            for k, stream in enumerate(streams):
-                left = ", ".join(one.name for one in streams[k + 1 :])
-                report(k / len(streams), f"measuring {stream.name}" + (f", then {left}" if left else ""))
-                mean, taken = self._one(tried, stream, window, turn())
-                means.append(mean)
-                samples += [(stream, sample) for sample in taken]
+            tried, named = self._aim.copy(), {stream.name: stream for stream in streams}
+            turns = self._turns = _Turns(list(named), {} if excluded is None else excluded)
+            while turns.left:
+                name = turns.left[0]
+                report(len(turns.means) / len(streams), f"measuring {name}" + after(turns.left[1:]))
+                with contextlib.suppress(_OtherwiseError):
+                    measured = self._one(tried, named[name], window, self._unless_changed(turns, turn()))
+                    with self._asking:
+                        if not turns.changed:
+                            turns.means[turns.left.pop(0)] = measured
+                turns.changed = False
             self._aim = tried
-            return means, samples
+            taken = [(stream, *turns.means[stream.name]) for stream in streams if stream.name in turns.means]
+            samples = [(stream, sample) for stream, _, of_stream in taken for sample in of_stream]
+            return [mean for _, mean, _ in taken], samples
         finally:
+            self._turns = None
             self._lock.release()
+
+    @property
+    def under_way(self) -> tuple[str, list[str]]:
+        """The target that is being measured, and those that come after it."""
+        turns = self._turns
+        left = [] if turns is None else list(turns.left)
+        return (left[0], left[1:]) if left else ("", [])
+
+    def ask(self, what: int, point: str, why: str) -> str:
+        """Take what the operator wants of a target; return why it cannot be, empty: it is done.
+
+        Args:
+            what: SKIP, REPEAT or EXCLUDE of `PointRequest`.
+            point: The target; empty: the one that is being measured.
+            why: By whom it is excluded, and why.
+        """
+        with self._asking:
+            turns = self._turns
+            if turns is None or not turns.left:
+                return IDLE
+            first, name = turns.left[0], point or turns.left[0]
+            if name not in turns.left and name not in turns.means:
+                return f"{name} is not measured in this reading"
+            if what == PointRequest.Request.SKIP and (name not in turns.left or turns.left == [name]):
+                return f"{name} is measured already" if name in turns.means else f"{name} is the last one that is left"
+            if what == PointRequest.Request.EXCLUDE and len(turns.left) + len(turns.means) == 1:
+                return f"{name} is the last point of this reading: leave the configuration out instead"
+            turns.means.pop(name, None)
+            others = [one for one in turns.left if one != name]
+            turns.left = {PointRequest.Request.SKIP: [*others, name], PointRequest.Request.REPEAT: [name, *others]}.get(
+                what, others
+            )
+            if what == PointRequest.Request.EXCLUDE:
+                turns.excluded[name] = why
+            turns.changed |= turns.left[:1] != [first] or name == first
+            return ""
+
+    @staticmethod
+    def _unless_changed(turns: _Turns, wait: Wait) -> Wait:
+        def look() -> int:
+            if turns.changed:
+                raise _OtherwiseError
+            return wait()
+
+        return look
 
     def close(self) -> None:
         """Give back what the driver holds."""
@@ -123,6 +201,11 @@ class OneBeam:
         if latest is None or self._joints.moving():
             raise MeasuringError(Outcome.NOT_SETTLED, f"{name}: the robot moves")
         return latest
+
+
+def after(left: Sequence[str]) -> str:
+    """Return in words what comes after a target."""
+    return f", then {', '.join(left)}" if left else ""
 
 
 def _mean(seen: Sequence[Seen], scatter: Average) -> Average:

@@ -15,13 +15,23 @@ from typing import Any
 
 import numpy as np
 from calibration_interfaces.msg import Outcome
+from calibration_interfaces.srv import PointRequest
 
-from calibration.conversions import LENGTH_UNITS, POINT_INPUTS, TF_TYPE, Mean, Sample, to_point_stamped, transforms
+from calibration.conversions import (
+    LENGTH_UNITS,
+    POINT_INPUTS,
+    TF_TYPE,
+    Mean,
+    Sample,
+    to_outcome,
+    to_point_stamped,
+    transforms,
+)
 from calibration.instruments.acquisition import AcquisitionNode, MeasuringError, Request
 from calibration.instruments.drivers import Driver
 from calibration.instruments.drivers.line import Line, load_template
 from calibration.instruments.drivers.written import Table, Typed
-from calibration.instruments.one_beam import OneBeam
+from calibration.instruments.one_beam import IDLE, OneBeam
 from calibration.instruments.stream import Stream
 from calibration.node import Declared, ParameterError, run
 from calibration.topics import TYPED, Topic, contract_topics
@@ -66,6 +76,7 @@ class TrackerNode(AcquisitionNode):
         outputs = {name: contract[self.cell.topics.point(name)] for name in names}
         self._alone: dict[str, tuple[str, ...]] = {name: (output.relative,) for name, output in outputs.items()}
         self.beam: OneBeam | None = None
+        self.create_service(PointRequest, "~/point", self._on_point)
         if self.value("driver") != STREAM:
             self._aim_at(outputs)
             return
@@ -153,6 +164,24 @@ class TrackerNode(AcquisitionNode):
         fault = driver.type(message.data)
         self.diagnostics.report("typed", 2 if fault else 0, fault)
 
+    def _on_point(self, request: Any, response: Any) -> Any:
+        """Take what an operator wants of a point, by name, and for a reason where it is left out."""
+        who, reason, excludes = request.operator_name.strip(), request.reason.strip(), request.what == request.EXCLUDE
+        if request.what not in (request.SKIP, request.REPEAT, request.EXCLUDE):
+            fault = f"what: found {request.what}, expected one of the constants of PointRequest"
+        elif not who:
+            fault = "the name of who answers for it is missing"
+        elif excludes and not reason:
+            fault = "the reason is missing: say why the point is left out"
+        else:
+            fault = IDLE if self.beam is None else self.beam.ask(request.what, request.point, f"by {who}: {reason}")
+        response.outcome = to_outcome(Outcome.INPUT_UNUSABLE if fault else Outcome.OK, fault)
+        return response
+
+    def under_way(self) -> tuple[str, list[str]]:
+        """Return the point that the beam is aimed at, and those that come after it."""
+        return super().under_way() if self.beam is None else self.beam.under_way
+
     def measured(
         self, request: Request, cancelled: Callable[[], bool], report: Callable[[float, str], None]
     ) -> list[Mean]:
@@ -167,7 +196,9 @@ class TrackerNode(AcquisitionNode):
 
         turn = partial(self.turn, request, cancelled, lambda: beam.awaited)
         try:
-            means, samples = beam.measure(request.streams, request.window, request.since, turn, report_progress)
+            means, samples = beam.measure(
+                request.streams, request.window, request.since, turn, report_progress, request.excluded
+            )
         except MeasuringError as error:
             self.diagnostics.report("beam", 0 if error.code == Outcome.CANCELLED else 2, str(error))
             raise

@@ -124,14 +124,14 @@ class ProcedureReport:
         self._send()
 
     def publish(
-        self, sequence: Sequence, present: Callable[[Float1D], PresentLoad], averaged: float, *, moving: bool
+        self, sequence: Sequence, present: Callable[[Float1D], PresentLoad], port: Any, *, moving: bool
     ) -> None:
         """Tell how a run stands; nothing is sent if that is no news.
 
         Args:
             sequence: The procedure.
             present: Tells what pulls now, given what is wanted.
-            averaged: Share of the averaging window of the reading under way, 0 to 1; NaN: nothing is averaged.
+            port: Tells how far the reading under way is, and which points are measured, left and excluded.
             moving: Whether a motion is under way.
         """
         now = sequence.snapshot()
@@ -154,7 +154,10 @@ class ProcedureReport:
         new.load_awaited, new.target = now.load_awaited, to_wrench(target)
         size = float(np.linalg.norm(target[:3]))
         new.direction = target[:3] / size if size > 0.0 else np.zeros(3)
-        new.averaged = averaged if reading else math.nan
+        if reading:
+            new.averaged, (new.point, left) = port.averaged, port.under_way
+            new.points_left = list(left)
+        new.points_excluded = list(port.excluded)
         load = present(target)
         new.band_force, new.band_angle = load.band_force, load.band_angle
         new.load_felt_known, new.load_fault = load.felt is not None, load.fault if now.load_awaited else ""
@@ -228,7 +231,7 @@ class Feedback:
         goal, runner, port = self._goal, self._runner, self._node.port
         if runner is None or goal is None or port is None:
             return
-        self._report.publish(runner.sequence, port.present_load, port.averaged, moving=runner.moving)
+        self._report.publish(runner.sequence, port.present_load, port, moving=runner.moving)
         if time.monotonic() - self._reported < PERIOD:
             return
         self._reported = time.monotonic()

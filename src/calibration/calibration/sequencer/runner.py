@@ -271,7 +271,7 @@ class Runner:
                 if self._sound_since is None or command.configuration == REFERENCE_NUMBER:
                     self._sound_since = time.monotonic()
                 request = command.request
-                self._cell.measure(lambda measured: self.post(MeasuredFor(request, measured)))
+                self._cell.measure(command.configuration, lambda measured: self.post(MeasuredFor(request, measured)))
             case m.Finish():
                 self.finish = command
             case _:
@@ -294,6 +294,7 @@ class Runner:
             return
         now = self._cell.seconds()
         if event.measured.fault:
+            self._cell.exclude(command, event.measured.excluded)
             del self._reading[event.request]
             self._handle(m.ReadingFailed(now, event.request, event.measured.fault))
             return

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration_interfaces.msg import ConditionOverride, RobotState
-from calibration_interfaces.srv import SelfTest
+from calibration_interfaces.srv import PointRequest, SelfTest
 
 from calibration.web.access import Control, Session
 from calibration.web.folder import BAG, Folder
@@ -21,6 +21,7 @@ from calibration_core.errors import InputError
 
 BETWEEN_STOPS = 0.1  # s of wall time between two stops that are asked for: taps in between share the next one
 STEPS = {"add": SelfTest.Request.ADD, "evaluate": SelfTest.Request.EVALUATE, "clear": SelfTest.Request.CLEAR}
+POINT = {what: getattr(PointRequest.Request, what.upper()) for what in ("skip", "repeat", "exclude")}
 Log = Callable[[str], None]
 
 
@@ -212,6 +213,8 @@ def _fields(name: str, values: dict[str, Any], session: Session) -> dict[str, An
             return by
         case "load_applied":
             return {**by, **values}
+        case "point":
+            return {**by, **values, "what": POINT[values["what"]]}
         case "override_condition":
             override = ConditionOverride(condition=values["condition"], reason=values["reason"], **by)
             return {"override": override}

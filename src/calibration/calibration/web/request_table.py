@@ -113,6 +113,13 @@ KINDS: Mapping[str, Kind] = {
     "resume_motion": Kind(),
     "repeat": Kind(),
     "skip": Kind(),
+    "point": Kind(
+        {
+            "what": Field(choices=("skip", "repeat", "exclude")),
+            "point": Field("name"),
+            "reason": Field(high=500, default=""),
+        }
+    ),
     "load_applied": Kind(
         {
             "configuration": COUNT,

@@ -305,7 +305,7 @@ def _procedure(state: Plain) -> dict[str, Any]:
     one = state["procedure"]
     keys = ("state", "waits_for", "text", "waiting", "question", "paused", "held", "moving", "session", "plan",
             "recording", "kind", "phase_name", "configuration", "attempt", "step", "steps", "share_done", "averaged",
-            "seconds_left", "load_awaited", "readings")  # fmt: skip
+            "seconds_left", "load_awaited", "readings", "point", "points_left", "points_excluded")  # fmt: skip
     found = {key: one[key] for key in keys}
     found["done"], found["total"] = one["configurations_done"], one["configurations_total"]
     found["skipped"] = one["configurations_skipped"]

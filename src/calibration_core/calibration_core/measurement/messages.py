@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 
+from calibration_core.recording.definitions.own import POINT_EXCLUDED
 from calibration_core.timeseries import Float1D, Phase
 
 
@@ -314,6 +315,7 @@ class Kind(enum.IntEnum):
     LOAD_OVERRIDDEN = 23
     READING_REJECTED = 24
     REJECTED = 25
+    POINT_EXCLUDED = POINT_EXCLUDED
 
 
 @dataclasses.dataclass(frozen=True)

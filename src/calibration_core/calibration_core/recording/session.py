@@ -25,7 +25,12 @@ from typing import Any
 from calibration_core.cell import Cell
 from calibration_core.errors import RecordingError, quoted
 from calibration_core.files.regular import open_regular
-from calibration_core.recording.session_values import ConfirmedReading, as_readings, checked_reading
+from calibration_core.recording.session_values import (
+    ConfirmedReading,
+    as_readings,
+    checked_reading,
+    point_excluded,
+)
 from calibration_core.recording.source import SESSION_DATABASE, sha256_of
 from calibration_core.timeseries import Condition, Note, Override, Readings
 
@@ -41,6 +46,7 @@ COPIES = 5  # tries to copy a database that is being written to
 SHA256 = re.compile(r"[0-9a-f]{64}")
 NEEDED = ("session", "attempt", "reading")
 VERDICTS = (None, True, False)
+EXCLUDED = "point_excluded"  # kind of an event; its text: CONFIGURATION.STEP POINT by NAME: REASON
 
 
 def read_session(path: Path, cell: Cell) -> tuple[Readings, tuple[tuple[Condition, ...], ...]]:
@@ -61,10 +67,12 @@ def read_session(path: Path, cell: Cell) -> tuple[Readings, tuple[tuple[Conditio
                 attempts = _attempts(file, database)
                 rows = _rows(file, database, cell, attempts)
                 conditions = _conditions(file, database) if "condition" in tables else ()
+                excluded = _excluded(file, database) if "event" in tables else []
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
             raise RecordingError(file, "", f"an unusable database ({error})", "a session's database") from None
         digests = {one.name: sha256_of(one) for one in sorted(copy.parent.iterdir()) if not one.name.endswith("-shm")}
     chosen, notes = _chosen(rows, attempts, cell)
+    notes += excluded
     if not chosen:
         raise RecordingError(file, "table reading", "no reading", "at least one that was confirmed")
     absent = [name for name in points if name not in {one.point for one in chosen}]
@@ -218,6 +226,12 @@ def _chosen(
             notes.append(Note("interrupted", place, f"not measured to its end: the {steps} steps confirmed are used"))
     order = {name: index for index, name in enumerate(cell.points)}
     return sorted(chosen, key=lambda one: (one.time, one.configuration, one.step, order[one.point])), notes
+
+
+def _excluded(file: Path, database: sqlite3.Connection) -> list[Note]:
+    """Return which points an operator has left out of which configuration, by whom and why."""
+    events = (str(text) for kind, text in _limited(file, database, "event", "kind, text") if kind == EXCLUDED)
+    return [point_excluded(place.partition(".")[0], text) for place, _, text in (one.partition(" ") for one in events)]
 
 
 def _conditions(file: Path, database: sqlite3.Connection) -> tuple[tuple[Condition, ...], ...]:

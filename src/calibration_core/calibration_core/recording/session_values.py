@@ -152,6 +152,11 @@ def _is_covariance(values: Float2D) -> bool:
     return bool(np.all(np.diag(values) >= 0.0) and np.abs(values - values.T).max() <= 1e-9 * largest)
 
 
+def point_excluded(configuration: object, text: object) -> Note:
+    """Return what is said of a configuration that an operator has left a point out of; anybody may have written it."""
+    return Note("point_excluded", f"configuration {str(configuration)[:20]}", str(text)[:300])
+
+
 def as_readings(
     confirmed: Sequence[ConfirmedReading],
     points: tuple[str, ...],

@@ -20,7 +20,7 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.simulation.simulate import simulate_plan
 from calibration_core.observations.observe import observe
 from calibration_core.planning.plans.plan import PlannedConfiguration
-from calibration_core.recording.session_values import ConfirmedReading
+from calibration_core.recording.session_values import ConfirmedReading, Event
 from calibration_core.recording.tables.table import write_table
 from calibration_core.timeseries import Condition, Override, Readings
 
@@ -105,6 +105,38 @@ def test_session_and_table_of_the_same_readings_give_the_same_stiffness(
     assert results[0] == results[1]
     values = np.array([[joint["value"] for joint in result] for result in results])
     np.testing.assert_allclose(values[0], values[2], rtol=1e-3)
+
+
+def test_points_that_an_operator_left_out_are_told_and_cost_their_readings_alone(
+    whole: Path, cell: Cell, measured: Readings, tmp_path: Path
+) -> None:
+    rows = confirmed(measured)
+    with Session.create(tmp_path / "today", PLAN_TEXT, cell) as session:
+        for number in sorted({place[0] for place in rows}):
+            attempt = session.begin_attempt(number, 0)
+            for place in sorted(one for one in rows if one[0] == number):
+                # of configuration 3 one point is missing, of 5 another one from the load on
+                left_out = {3: "mp2", 5: "mp1" if place[1] else ""}.get(number)
+                session.record(attempt, [one for one in rows[place] if one.point != left_out])
+            session.end_attempt(attempt, completed=True)
+        session.note(Event(0, "point_excluded", "3.0 mp2 by A. Smith: the cable hides it"))
+        session.note(Event(0, "point_excluded", "5.1 mp1 by A. Smith: knocked"))
+        session.note(Event(0, "started", "0.0 "))
+    results = []
+    for recording in (whole, tmp_path / "today"):
+        out = tmp_path / f"out {len(results)}"
+        assert main(["identify", str(recording), "--cell", str(CELL), "--out", str(out)]) == 0
+        results.append(json.loads((out / "result.json").read_text()))
+    told = [(one["place"], one["text"]) for one in results[1]["notes"] if one["kind"] == "point_excluded"]
+    assert told == [
+        ("configuration 3", "mp2 by A. Smith: the cable hides it"),
+        ("configuration 5", "mp1 by A. Smith: knocked"),
+    ]
+    assert "mp2 by A. Smith: the cable hides it" in (out / "report.html").read_text(encoding="utf-8")
+    assert results[1]["recording"]["configurations"] == results[0]["recording"]["configurations"] == 14
+    for one, other in zip(*(result["stiffness"] for result in results), strict=True):
+        assert abs(one["value"] - other["value"]) < 2.0 * other["std"], one["joint"]
+        assert 0.9 < other["std"] / one["std"] < 1.3, one["joint"]
 
 
 def test_one_attempt_of_each_configuration_counts(cell: Cell, measured: Readings, tmp_path: Path) -> None:

@@ -49,6 +49,14 @@ export function during(state, told) {
   const average = h("div", { class: "bar", id: "average", role: "img", "aria-label": w("averaging_bar") }, averaged);
   const reading = h("section", { class: "card", "aria-label": w("reading") }, h("h2", {}, w("reading")), averaging, average, verdict,
     h("p", { id: "standing" }), h("p", { id: "beam" }));
+  const aimed = make("p", "aimed", { "aria-live": "polite" });
+  const of_point = [["skip", "point_skip"], ["repeat", "point_repeat"], ["exclude", "point_exclude"]].map(([what, name]) => h("button", { id: name, class: "grow", onclick: once(async () => {
+    const { point } = state.view.procedure;
+    const reason = what === "exclude" ? await sure("exclude_why", true) : "";
+    if (what !== "exclude" || reason) told(await ask("point", { what, point, reason }));
+  }) }, w(name)));
+  const points = h("div", { id: "points" }, aimed, h("div", { class: "row", role: "group", "aria-label": w("of_point") }, ...of_point));
+  reading.append(points);
   const bars = h("div", { id: "bars" });
   const learnt = h("p", { id: "learnt" });
   const accuracy = h("section", { class: "card", "aria-label": w("accuracy") }, h("h2", {}, w("accuracy")), bars, learnt);
@@ -113,6 +121,11 @@ export function during(state, told) {
     hide(load, !l.awaited);
     flag(node, "two", !l.awaited);
     if (l.awaited) loads(view, l, mine);
+    hide(points, !p.point && !p.points_excluded.length);
+    text(aimed, [...(p.point ? [w("point_now", { point: p.point })] : []),
+      ...(p.points_left.length ? [w("points_left", { points: p.points_left.join(", ") })] : []),
+      ...(p.points_excluded.length ? [w("points_excluded", { points: p.points_excluded.join(", ") })] : [])].join(" · "));
+    for (const one of of_point) one.disabled = !mine || !p.point;
     const share = p.averaged === null ? null : Math.round(100 * p.averaged);
     text(averaging, share === null ? w("averaging_none") : w("averaging", { share }));
     averaged.style.width = `${share || 0}%`;

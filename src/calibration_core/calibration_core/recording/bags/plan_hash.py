@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from calibration_core.errors import RecordingError, quoted
+from calibration_core.recording.definitions.own import POINT_EXCLUDED
 from calibration_core.recording.messages.typed import FAULTS, deserializer
+from calibration_core.recording.session_values import point_excluded
 from calibration_core.recording.storage.batch import Batch
 from calibration_core.timeseries import Note
 
@@ -32,7 +34,7 @@ def plan_of_metadata(file: Path, custom: object) -> str:
 
 
 def plans_of_events(file: str, batch: Batch, notes: list[Note]) -> set[str]:
-    """Return the hashes that the events of a batch carry; what cannot be read becomes a note."""
+    """Return the hashes that the events of a batch carry; excluded points, and what cannot be read, become notes."""
     found: set[str] = set()
     try:
         read = deserializer(file, batch.channel)
@@ -41,12 +43,15 @@ def plans_of_events(file: str, batch: Batch, notes: list[Note]) -> set[str]:
         return found
     for row in range(len(batch)):
         try:
-            value: Any = getattr(read(batch.payload(row)), KEY, "")  # earlier versions have no such field
+            event = read(batch.payload(row))
         except FAULTS:
             notes.append(Note("malformed", batch.channel.topic, "an event cannot be read"))
             continue
+        value: Any = getattr(event, KEY, "")  # earlier versions have no such field
         if isinstance(value, str) and SHA256.fullmatch(value):
             found.add(value)
+        if getattr(event, "kind", None) == POINT_EXCLUDED:
+            notes.append(point_excluded(event.configuration, event.text))
     return found
 
 

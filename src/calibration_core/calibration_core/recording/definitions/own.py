@@ -11,6 +11,7 @@ STEP_TYPE = "calibration_interfaces/msg/MeasurementStep"
 CONDITIONS_TYPE = "calibration_interfaces/msg/Conditions"
 EVENT_TYPE = "calibration_interfaces/msg/SessionEvent"
 EVENT_TOPIC = "/calibration/event"
+POINT_EXCLUDED = 27  # `kind` of the event that an operator has left a point out of a configuration
 TEXT_TYPE = "std_msgs/msg/String"
 
 STEP_DEFINITION = "\n".join(
