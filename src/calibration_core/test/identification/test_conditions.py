@@ -27,7 +27,7 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.observations.observe import worst
 from calibration_core.report.content import build
 from calibration_core.report.results.result import result_dict
-from calibration_core.timeseries import Condition, Override, Readings
+from calibration_core.timeseries import Override, Readings
 
 STATE = CellState(
     temperature=np.array([[0.0, 20.1], [1800.0, 20.4]]),
@@ -41,12 +41,6 @@ STATE = CellState(
     speed=0.2375,
 )
 WHO = Override("temperature", "A. Smith", "the air conditioning is out of order")
-
-
-@pytest.fixture
-def cell(tmp_path: Path) -> Cell:
-    """Return the test cell, of 240 kg or so."""
-    return write_cell(tmp_path)
 
 
 def verdicts(state: CellState, cell: Cell) -> dict[str, bool | None]:
@@ -333,9 +327,3 @@ def test_the_stiffness_of_the_tool_beside_that_of_the_robot(cell: Cell) -> None:
         for tool in (SOFT, SOFT.model_copy(update={"translation": (0.0, 0.0, 0.0), "rotation": (2e-9, 3e-9, 1e-9)}))
     )
     assert 0.0 < soft < stiff
-
-
-def test_a_condition_is_a_plain_value() -> None:
-    one = Condition("servo", "5.1", "servos", "on", "off", met=False, shall=True)
-    assert one.stops
-    assert not dataclasses.replace(one, override=WHO).stops

@@ -132,11 +132,6 @@ def test_a_file_in_the_place_of_the_directory_is_an_input_error(tmp_path: Path) 
     assert (tmp_path / "out").read_bytes() == b"mine"
 
 
-def test_one_file_in_a_new_directory(tmp_path: Path) -> None:
-    write_files(tmp_path / "new", {"model.yaml": b"a: 1\n"})
-    assert contents(tmp_path / "new") == {"model.yaml": b"a: 1\n"}
-
-
 def test_what_is_made_in_place_appears_whole_under_its_own_name(tmp_path: Path) -> None:
     def bag(path: Path) -> None:
         path.mkdir()
