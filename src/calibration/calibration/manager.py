@@ -310,13 +310,13 @@ class Whole:
 
 
 NAMES = ("guard", "recorder", "tracker", "force_torque", "identification", "sequencer", "compensation")
+PERMISSION_AGE = 0.5  # s, that the guard's last word is shown
 LOOK = 0.1  # s of wall time between two looks, and at least between two messages
 PERIOD = 0.2  # s of wall time between two messages that tell nothing new: who reads them sees at once that none comes
 
 PARAMETERS = (
     Declared("cell", "", "The cell file.", required=True),
     Declared("nodes", list(NAMES), "Nodes that are watched."),
-    Declared("permission_age", 0.5, "s, that the guard's last word is shown.", low=0.02, high=10.0),
 )
 
 
@@ -334,7 +334,7 @@ class ManagerNode(CalibrationNode):
     def on_start(self) -> None:
         """Listen to every node, and to what they say of the cell."""
         cell = load_cell(self.value("cell"), live=True)
-        self.whole = Whole(tuple(self.value("nodes")), self.value("permission_age"))
+        self.whole = Whole(tuple(self.value("nodes")), PERMISSION_AGE)
         self._reported: dict[str, object] = {}
         self._sent = -math.inf
         self._publisher = self.create_publisher(STATE.message, STATE.relative, STATE.qos)

@@ -22,7 +22,7 @@ from test_identification import BAG, CELL, ask, finish
 from visualization_msgs.msg import Marker, MarkerArray
 
 from calibration.evaluation import identification
-from calibration.evaluation.identification import IdentificationNode
+from calibration.evaluation.identification import ENLARGED, IdentificationNode
 from calibration.evaluation.markers import to_markers
 from calibration.sequencer.sequencer import SequencerNode
 from calibration.topics import MARKERS, PLAN_MARKERS
@@ -131,8 +131,7 @@ def test_a_plan_is_shown_when_its_measurement_begins(spinning: Any, until: Calla
 
 
 def test_a_result_is_shown_to_whoever_comes_late(spinning: Any, until: Callable[..., None], tmp_path: Path) -> None:
-    given = {"cell": str(CELL), "markers.scale": 500.0}
-    overrides = [Parameter(name, value=value) for name, value in given.items()]
+    overrides = [Parameter("cell", value=str(CELL))]
     spinning.add(IdentificationNode(context=spinning.context, parameter_overrides=overrides))
     client = spinning.plain()
     heard: list[MarkerArray] = []
@@ -148,7 +147,7 @@ def test_a_result_is_shown_to_whoever_comes_late(spinning: Any, until: Callable[
     space = json.loads(answer.result_json)["operating_space"]
     arrows = np.array([places(marker.points) for marker in found["deflection"]])
     np.testing.assert_allclose(arrows[:, 0], space["points"]["mp1"], rtol=1e-12)
-    np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], 500.0 * np.array(space["deflection"]), rtol=1e-9)
+    np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], ENLARGED * np.array(space["deflection"]), rtol=1e-9)
     assert found["deflection"][0].header.frame_id == "base_link"
 
 

@@ -72,7 +72,7 @@ def test_every_kind_of_point_comes_out_in_metres(
     topics = ["smr_1"] if kind == "tf" else ["leica/point"]
     node = spinning.add(
         TrackerNode(context=spinning.context, parameter_overrides=overrides(
-            points=["mp2"], topics=topics, input_type=kind, units="mm", output_frame="tracker", tf_topic="tf"))
+            points=["mp2"], topics=topics, input_type=kind, units="mm", output_frame="tracker"))
     )  # fmt: skip
     client = spinning.plain()
     heard: list[PointStamped] = []
@@ -84,7 +84,7 @@ def test_every_kind_of_point_comes_out_in_metres(
         one = incoming("TransformStamped" if kind == "tf" else kind, 1e3 * HERE + 1e-3 * k, start + k * 5_000_000)
         return sent(transforms=[one]) if kind == "tf" else one
 
-    publisher = client.create_publisher(sent, "tf" if kind == "tf" else topics[0], qos)
+    publisher = client.create_publisher(sent, "/tf" if kind == "tf" else topics[0], qos)
     feeds.append(Feed(publisher, make))
     until(lambda: len(heard) >= 5)
     first = heard[0]

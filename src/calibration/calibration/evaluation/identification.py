@@ -34,11 +34,12 @@ from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
 from calibration_core.report.results.scene import scene_of
 
+ENLARGED = 200.0  # times, that deflections are drawn as long as they are
+
 PARAMETERS = (
     Declared("cell", "", "The cell file taken where a request names none.", read_only=False),
     Declared("recording", "", "Taken where a request names none and no session was recorded.", read_only=False),
     Declared("out", "", "Directory for results; empty: beside the recording.", read_only=False),
-    Declared("markers.scale", 200.0, "Deflections are drawn so many times as long.", low=0.0, read_only=False),
 )
 MANY = QoSProfile(depth=1000)  # requests at once: those beyond it would never be answered
 FEEDBACK_PERIOD = 0.2  # s between two reports of progress
@@ -128,7 +129,7 @@ class IdentificationNode(CalibrationNode):
             return
         scene = None
         if result_json:
-            scene = scene_of(json.loads(result_json)["operating_space"], self.value("markers.scale"))
+            scene = scene_of(json.loads(result_json)["operating_space"], ENLARGED)
         self._markers.publish(to_markers(cell, scene))
 
     async def _on_stiffness(self, request: Any, response: Any) -> Any:

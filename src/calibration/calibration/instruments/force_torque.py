@@ -50,6 +50,8 @@ MASS_SHARE, AXES, UNEXPLAINED = 0.05, 0.05, 5.0  # share, rad, N: by which a tes
 PRESENT = 0.5  # s by the samples' stamps, over which the present wrench is averaged
 PRESENT_PERIOD = 0.02  # s of wall time between two of them
 PRESENT_SAMPLES = 1000  # at most
+LARGEST_TORQUE = 20000.0  # N*m, beyond which a sample is implausible
+SETTLED_FORCE, SETTLED_TORQUE = 5.0, 2.5  # N, N*m: change over a window that does not matter
 T = TypeVar("T")
 
 PARAMETERS = (
@@ -59,9 +61,6 @@ PARAMETERS = (
     Declared("torque_unit", "N*m", "Unit of the torques.", choices=tuple(TORQUE_UNITS)),
     Declared("sign", "applied_on_robot", "Whose wrench the sensor reads.", choices=tuple(SIGNS)),
     Declared("largest_force", 50000.0, "Force beyond which a sample is implausible, N.", low=0.001),
-    Declared("largest_torque", 20000.0, "Torque beyond which a sample is implausible, N*m.", low=0.001),
-    Declared("tolerance_force", 5.0, "Change over a window that does not matter, N.", low=0.0, read_only=False),
-    Declared("tolerance_torque", 2.5, "Change over a window that does not matter, N*m.", low=0.0, read_only=False),
     Declared("load_memory", "", "File in which the sequencer keeps what is known of the load; empty: in $ROS_HOME."),
 )
 
@@ -83,7 +82,7 @@ class ForceTorqueNode(AcquisitionNode):
         self._number, self._tares = 0, 0
         self._busy = False
         self._orientations: list[tuple[Float1D, Float1D]] = []
-        limits = self.limits((self.value("largest_force"), self.value("largest_torque")), (0.0, 0.0))
+        limits = self.limits((self.value("largest_force"), LARGEST_TORQUE), (0.0, 0.0))
         topic = self.value("topic")
         output = Topic(self.cell.topics.wrench, StreamKind.WRENCH.value, Quality.SAMPLES)
         alone = tuple({topic, output.relative})
@@ -109,7 +108,7 @@ class ForceTorqueNode(AcquisitionNode):
 
     def tolerance(self, stream: Stream) -> Float1D:  # noqa: ARG002  # there is one stream only
         """Return the (6,) change over a window that does not matter, N and N*m."""
-        return np.repeat([self.value("tolerance_force"), self.value("tolerance_torque")], 3)
+        return np.repeat([SETTLED_FORCE, SETTLED_TORQUE], 3)
 
     def tare_number(self) -> int:
         """Return the number of the tare in force; 0: none."""

@@ -39,6 +39,8 @@ from calibration_core.measurement.aim import Aim
 from calibration_core.timeseries import Float1D
 
 TF, STREAM, LINE, FILE, MANUAL = "tf", "stream", "line", "file", "manual"
+TF_TOPIC = "/tf"
+FASTEST = 6.0  # m/s, beyond which a sample is a jump: more than any robot's flange moves
 
 PARAMETERS = (
     Declared("driver", STREAM, "How the tracker is asked.", choices=(STREAM, LINE, FILE, MANUAL)),
@@ -46,12 +48,10 @@ PARAMETERS = (
     Declared("template", "plain", "How it speaks, for line: one of config/trackers, or a file."),
     Declared("table", "tracker.csv", "File to which the tracker's program appends, for file."),
     Declared("points", [], "Measurement points; empty: all of the cell."),
-    Declared("topics", [], "Topic of each point, for tf the child frame; empty: input/POINT."),
+    Declared("topics", [], "Topic of each point, of `/tf` the child frame; empty: input/POINT."),
     Declared("input_type", "PointStamped", "What the tracker sends.", choices=(*POINT_INPUTS, TF)),
-    Declared("tf_topic", "/tf", "Where transforms come from, for tf."),
     Declared("units", "m", "Unit of the samples.", choices=tuple(LENGTH_UNITS)),
     Declared("largest", 80.0, "Distance from the tracker beyond which a sample is implausible, m.", low=0.001),
-    Declared("fastest", 6.0, "Speed beyond which a sample is a jump, m/s; 0: not checked.", low=0.0),
     Declared("tolerance", 6.0e-5, "Change over a window that does not matter, m.", low=0.0, read_only=False),
 )
 
@@ -103,18 +103,17 @@ class TrackerNode(AcquisitionNode):
         self.add_source(topic, kind, lambda message: self._take(stream, read(message, self._unit)))
 
     def _listen_to_transforms(self, names: Sequence[str], frames: Sequence[str]) -> None:
-        topic = self.value("tf_topic")
         targets = dict(zip(frames, names, strict=True))
         for name in names:
-            self._stream(name, topic)
-        self.add_source(topic, TF_TYPE, partial(self._on_transforms, targets))
+            self._stream(name, TF_TOPIC)
+        self.add_source(TF_TOPIC, TF_TYPE, partial(self._on_transforms, targets))
 
     def _on_transforms(self, targets: dict[str, str], message: Any) -> None:
         for name, sample in transforms(message, targets, self._unit).items():
             self._take(self.streams[name], sample)
 
     def _stream(self, name: str, topic: str) -> Stream:
-        limits = self.limits((self.value("largest"),), (self.value("fastest"),))
+        limits = self.limits((self.value("largest"),), (FASTEST,))
         return self.add_stream(Stream(name, topic, limits, self.value("silent_after"), self._alone[name]))
 
     def _publish_on(self, name: str, output: Topic) -> None:
@@ -131,7 +130,7 @@ class TrackerNode(AcquisitionNode):
     def _aim_at(self, outputs: dict[str, Topic]) -> None:
         """Make the driver, and a stream per point that has no rate: it is measured when somebody asks for it."""
         self._driver = self._made_driver()
-        limits = dataclasses.replace(self.limits((self.value("largest"),), (self.value("fastest"),)), frame="", gap=1e9)
+        limits = dataclasses.replace(self.limits((self.value("largest"),), (FASTEST,)), frame="", gap=1e9)
         for name, output in outputs.items():
             self.add_stream(Stream(name, self._driver.name, limits, math.inf, self._alone[name]))
             self._outputs[name] = self.create_publisher(output.message, output.relative, output.qos)

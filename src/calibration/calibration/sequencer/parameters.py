@@ -27,10 +27,8 @@ PARAMETERS = (
     Declared("motion.hold_topic", "", "Topic that takes a hold trajectory, the second stage of the stop."),
     Declared("motion.stop_services", [], "Called as the third stage of the stop: name=package/srv/Type{...}."),
     Declared("arrival.tolerance", ARRIVAL.tolerance, "rad, of every joint.", low=1e-6, high=0.1),
-    Declared("arrival.speed", ARRIVAL.speed, "rad/s, of every joint, while standing.", low=1e-6, high=0.1),
-    Declared("arrival.dwell", ARRIVAL.dwell, "s, for which both hold.", low=0.01, high=10.0),
+    Declared("arrival.dwell", ARRIVAL.dwell, "s, for which it holds, and the robot stands.", low=0.01, high=10.0),
     Declared("load.by", OPERATOR, "Who changes the load.", choices=(OPERATOR, DEVICE)),
-    Declared("load.interface", "driver/apply_load", "Action of the load device."),
     Declared("load.memory", "", "File that keeps, between runs, what is known of the load; empty: in $ROS_HOME."),
     Free("load.timeout", 60.0, "s of the cell's time, that the load device may take.", low=0.1, high=3600.0),
     Free("settle_time", 1.5, "s, that everything has stood before a reading.", low=0.0, high=600.0),
@@ -55,7 +53,7 @@ PARAMETERS = (
 
 def arrival_rules(node: CalibrationNode) -> ArrivalRules:
     """Return when the robot has arrived."""
-    return ArrivalRules(*(node.value(f"arrival.{name}") for name in ("tolerance", "speed", "dwell")))
+    return ArrivalRules(**{name: node.value(f"arrival.{name}") for name in ("tolerance", "dwell")})
 
 
 def motion_limits(node: CalibrationNode, cell: Cell) -> MotionLimits:

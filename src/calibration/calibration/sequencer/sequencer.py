@@ -72,6 +72,7 @@ from calibration_core.timeseries import NANOSECONDS, Float1D
 
 PULSE = 0.02  # s of wall time between two signs of life
 ALONE_PULSE = 0.022  # s, likewise, while the guard is silent: with its word, one wake of the executor does for both
+APPLY_LOAD = "driver/apply_load"  # action of the load device
 BAG = "bag"  # in the session's directory
 END_TIME = 1.6  # s of wall time, a run has to end when the process does
 ALONE = 1.0  # s, since another sequencer was heard
@@ -140,7 +141,7 @@ class SequencerNode(CalibrationNode):
             trace=self.value("trace"),
         )
         by_device = self.value("load.by") == DEVICE
-        self.load_device = Server(self, ApplyLoad, self.value("load.interface")) if by_device else None
+        self.load_device = Server(self, ApplyLoad, APPLY_LOAD) if by_device else None
         self.instruments = Instruments(self, self.value("tracker"), self.value("force_torque"))
         self.servers = [*self.instruments.servers.values(), *([self.load_device] if self.load_device else [])]
         self.conditions = ConditionsWatch(self)
