@@ -290,18 +290,17 @@ def reject_outliers(
         problem: All readings.
         start: (n,) first guess of the compliances.
         robust: False uses every reading.
-        readmit: (configuration, step, point) of readings that must be used whatever they look like; the other readings
-            of the same configuration and point are then not judged either.
+        readmit: (configuration, step, point) of readings that must be used whatever they look like; the others are
+            judged without them, so that a wrong one sets no sound one aside.
         near: (n,) compliances of nearly the same problem, to begin with; None: the first guess.
         converged: Of the largest compliance: a step below it is the last of the fit that is returned.
     """
     m = len(problem.readings)
-    used = np.ones(m, dtype=bool)
-    if not robust:
-        return OutlierRejection(fit_compliance(problem, start, near=near, converged=converged), used, ())
-    fitted = _shows(problem, start, near)
-    groups = {(configuration, point) for configuration, _, point in readmit}  # a reading judges its neighbours too
-    kept = np.array([(configuration, point) in groups for configuration, _, point in keys_of(problem.readings)])
+    readmitted = np.array([key in readmit for key in keys_of(problem.readings)])
+    used = ~readmitted
+    if not robust or not used.any():
+        return OutlierRejection(fit_compliance(problem, start, near=near, converged=converged), used | True, ())
+    fitted = _shows(problem, used, start, near)
     exclusions: dict[int, Exclusion] = {}
     budget = max(1, int(MOST_EXCLUDED * m))
     while len(exclusions) < budget:  # until nothing is left to set aside under the compliances of those that are left
@@ -311,7 +310,6 @@ def reject_outliers(
         while len(exclusions) < budget:  # about one linearisation: a few readings less change the compliances little
             squared, error, _ = deleted(rows, linear.residual[index])
             size, threshold = np.linalg.norm(error, axis=1), deletion_limit(squared, m)
-            squared[kept[index]] = 0.0
             worst = worst_of_each(squared, threshold, problem.configuration[index], problem.readings.step[index])
             if not len(worst):
                 break
@@ -326,9 +324,9 @@ def reject_outliers(
             compliance = compliance + change
         if len(exclusions) == before:
             break
-        fitted = _shows(problem.select(np.flatnonzero(used)), start, compliance)
+        fitted = _shows(problem, used, start, compliance)
     if not exclusions:
-        return OutlierRejection(fit_compliance(problem, start, near=fitted, converged=converged), used, ())
+        return OutlierRejection(fit_compliance(problem, start, near=fitted, converged=converged), used | readmitted, ())
     linear = problem.linearise(fitted)
     squared = np.zeros(m)
     index = np.flatnonzero(used)
@@ -342,17 +340,21 @@ def reject_outliers(
             used[row] = True
             squared = trial
             del exclusions[row]
+    used |= readmitted
     some = problem.select(np.flatnonzero(used))
     fit = fit_compliance(some, start, near=fitted, converged=converged)
     return OutlierRejection(fit, used, tuple(exclusions[row] for row in sorted(exclusions)))
 
 
-def _shows(problem: LoadedProblem, start: Float1D, near: Float1D | None) -> Float1D:
+def _shows(problem: LoadedProblem, used: Bool1D, start: Float1D, near: Float1D | None) -> Float1D:
     """Return compliances under which gross errors show: of a fit, unless these ask for a robot too soft to stand."""
+    some = problem if used.all() else problem.select(np.flatnonzero(used))
     try:
-        return fit_compliance(problem, start, near=near, converged=NEARLY).compliance
+        fitted = fit_compliance(some, start, near=near, converged=NEARLY).compliance
+        problem.linearise(fitted)  # readings that were not fitted have to stand, too
     except EquilibriumError:
         return start
+    return fitted
 
 
 def worst_of_each(squared: Float1D, threshold: float, group: Int1D, step: Int1D) -> Int1D:
