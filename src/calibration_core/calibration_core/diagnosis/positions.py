@@ -219,8 +219,13 @@ def _proposals(found: Estimate, cell: Cell, offers: Offers) -> Proposals:
 
 
 def _stiffness(extended: Extended) -> dict[str, tuple[float, float]]:
-    """Return joint -> (stiffness, standard deviation) of compliances that were fitted, N*m/rad."""
-    found = {}
+    """Return joint -> (stiffness, standard deviation) of compliances that were fitted, N*m/rad.
+
+    At rest the weight alone shows them: of masses that are guesses none follows.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    if extended.model.problem.load is None and not extended.model.problem.chain.inertials_known:
+        return found
     for k, part in enumerate(extended.parts):
         if is_axial(part.candidate):
             value, covariance = extended.values_of(k)

@@ -11,10 +11,8 @@ from calibration_core.cell import Cell
 from calibration_core.diagnosis.comparison.recordings import compare, put_right, with_loads
 from calibration_core.diagnosis.comparison.result import Comparison, Difference, OwnFaults
 from calibration_core.diagnosis.data_checks.loaded_anomalies import (
-    OTHERS,
     find_shifts,
     noise_understated,
-    out_of_shape,
     outlier_readings,
 )
 from calibration_core.diagnosis.data_checks.noise import Scatter
@@ -22,6 +20,7 @@ from calibration_core.diagnosis.evidence.extended import loaded_state
 from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.estimation.rows import state_at
 from calibration_core.identification.absolute.evaluate import evaluate_absolute, identification_of
+from calibration_core.identification.checks.noise_audit import OTHERS, out_of_shape
 from calibration_core.identification.geometry.fit import absolute_problem, start_parameters
 from calibration_core.identification.result.estimate import MODEL_FREE, Anomaly, Identification, NoiseAudit
 from calibration_core.identification.stiffness.loaded import (

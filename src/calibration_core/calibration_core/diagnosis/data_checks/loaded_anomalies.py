@@ -9,7 +9,6 @@ of the robot that is right up to a rigid motion of the tool.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -22,11 +21,8 @@ from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.state import State
-from calibration_core.policy import CONFIRMED, FAULT_CHANCE, MAD, NOTHING_ELSE, SLIGHT_STEP
+from calibration_core.policy import CONFIRMED, FAULT_CHANCE, NOTHING_ELSE, SLIGHT_STEP
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
-
-OTHERS = 2  # points at the same step, to which a reading must stand wrong to be the one at fault
-UNUSUAL = 6.0  # times the usual change of a distance
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -88,38 +84,13 @@ def own_variances(squares: Float1D) -> Float1D:
     return np.asarray(np.linalg.solve(system, squares))
 
 
-def out_of_shape(readings: Readings, noise: float) -> Bool1D:
-    """Return the (m,) readings whose distances to all other points of their step, two or more, are not the usual ones.
-
-    No model of the robot is needed: whatever moves the tool keeps its shape.
-
-    Args:
-        readings: m readings, absolute positions.
-        noise: Claimed standard deviation of one coordinate, m.
-    """
-    keys = np.column_stack([readings.configuration, readings.step])
-    steps, row = np.unique(keys, axis=0, return_inverse=True)
-    table = np.full((len(steps), len(readings.points), 3), np.nan)
-    table[row.reshape(-1), readings.point] = readings.position
-    distance = np.linalg.norm(table[:, :, None] - table[:, None], axis=-1)
-    change = np.full_like(distance, np.nan)
-    for i, j in itertools.permutations(np.unique(readings.point), 2):
-        seen = np.isfinite(distance[:, i, j])
-        if seen.any():
-            change[:, i, j] = np.abs(distance[:, i, j] - np.median(distance[seen, i, j]))
-    known = np.isfinite(change)
-    usual = max(np.sqrt(2) * noise, MAD * float(np.median(change[known]))) if known.any() else np.inf
-    off = (change > UNUSUAL * usual).sum(axis=2)
-    gross = (off == known.sum(axis=2)) & (off >= OTHERS)
-    return np.asarray(gross[row.reshape(-1), readings.point])
-
-
 # --- A target or the tracker that moved part-way through a recording, found as a change point over the ----------------
 
 
 RANK = 1e-9  # of the largest singular value: what depends on other columns
 FEWEST = 6  # degrees of freedom that must be left to fit the geometry beside a step
 EDGE = 2  # configurations on either side of a change, at least
+CREEP = (2.0, 5.0, 10.0)  # configurations over which glue that creeps has come to 63 % of where it ends
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -127,47 +98,60 @@ class Step:
     """A change between two configurations.
 
     Attributes:
-        first: Index of the first configuration after it.
+        first: Index of the first configuration after it; of one that creeps, at which half of it is done.
         point: Which point moved; -1: all of them.
         shift: (3,) m, after minus before.
         size: m.
+        course: (k,) which share of it each configuration has.
     """
 
     first: int
     point: int
     shift: Float1D
     size: float
+    course: Float1D
+
+    @property
+    def creeps(self) -> bool:
+        """Whether the point comes to its new place little by little."""
+        return len(np.unique(self.course)) > 2
 
 
 def target_step(shape: Shape) -> Step | None:
-    """Find the point that stands elsewhere against the others from one configuration on; None if none does."""
+    """Find the point that stands elsewhere against the others from one configuration on, or creeps there."""
     means = np.nanmean(shape.against_others(), axis=1)
-    best: tuple[float, int, int] | None = None
+    time = np.arange(len(means))
+    courses = [_step_at(first, len(time)) for first in range(EDGE, len(time) - EDGE + 1)]
+    courses += [1 - np.exp(-time / lasts) for lasts in CREEP]
+    best: tuple[float, Step] | None = None
     for point in range(shape.points):
-        series = means[:, point]
-        good = np.isfinite(series).all(axis=1)
-        for first in range(EDGE, len(series) - EDGE + 1):
-            explained, chance = _step_chance(series, good, first)
-            if chance * shape.points * len(series) < FAULT_CHANCE and (best is None or explained > best[0]):
-                best = (explained, point, first)
-    if best is None:
-        return None
-    _, point, first = best
-    series = means[:, point]
-    shift = np.nanmean(series[first:], axis=0) - np.nanmean(series[:first], axis=0)
-    return Step(first, point, shift, float(np.linalg.norm(shift)))
+        good = np.isfinite(means[:, point]).all(axis=1)
+        for course in courses:
+            half = int(np.argmax(course >= course.max() / 2))
+            if min(good[:half].sum(), good[half:].sum()) < EDGE:
+                continue
+            shift, explained, chance = _explained(means[good, point], course[good])
+            if chance * shape.points * len(time) < FAULT_CHANCE and (best is None or explained > best[0]):
+                shift = shift * np.ptp(course)
+                best = explained, Step(half, point, shift, float(np.linalg.norm(shift)), course)
+    return None if best is None else best[1]
 
 
-def _step_chance(series: Float2D, good: np.ndarray, first: int) -> tuple[float, float]:
-    """Return the sum of squares that a step explains, and the chance of so much (F test), from (k, 3)."""
-    before, after = series[:first][good[:first]], series[first:][good[first:]]
-    if len(before) < EDGE or len(after) < EDGE:
-        return 0.0, 1.0
-    within = float(((before - before.mean(axis=0)) ** 2).sum() + ((after - after.mean(axis=0)) ** 2).sum())
-    difference = after.mean(axis=0) - before.mean(axis=0)
-    explained = float(difference @ difference) * len(before) * len(after) / (len(before) + len(after))
-    freedom = 3 * (len(before) + len(after) - 2)
-    return explained, f_tail(explained / 3 / max(within / freedom, 1e-30), 3, freedom)
+def _step_at(first: int, count: int) -> Float1D:
+    return (np.arange(count) >= first).astype(np.float64)
+
+
+def _explained(series: Float2D, course: Float1D) -> tuple[Float1D, float, float]:
+    """Return what (k, d) values change per unit of a course over time, (k,), the squares that explains, and the chance
+    of so much (F test).
+    """
+    course, series = course - course.mean(), series - series.mean(axis=0)
+    power = float(course @ course)
+    slope = course @ series / power
+    explained = float(slope @ slope) * power
+    d, freedom = len(slope), series.shape[1] * (len(series) - 2)
+    left = float((series**2).sum()) - explained
+    return slope, explained, f_tail(explained / d / max(left / freedom, 1e-30), d, freedom)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -195,7 +179,7 @@ class Averages:
     def with_step(self, step: Step) -> Float2D:
         """Return the columns of a step: the tracker's motion, or that of the point, from its configuration on."""
         moved = self.motion if step.point < 0 else self.tools[:, 3 * step.point : 3 * step.point + 3]
-        return moved * (self.owner >= step.first)[:, None]
+        return moved * step.course[self.owner][:, None]
 
 
 def averages(residual: Float2D, place: Float2D, axes: Float3D, readings: Readings) -> Averages:
@@ -281,7 +265,7 @@ def _tracker_step(seen: Averages, base: Float2D) -> Step | None:
     size = float(np.linalg.norm(shift))
     if f_tail(ratio, 6, freedom) * k > FAULT_CHANCE or size < SLIGHT_STEP:
         return None
-    return Step(first, -1, shift, size)
+    return Step(first, -1, shift, size, _step_at(first, k))
 
 
 def _with_geometry(seen: Averages, geometry: Float3D) -> Float2D:
@@ -469,6 +453,11 @@ def _target_moved(step: Step, shape: Shape, readings: Readings) -> Anomaly:
         f"from configuration {first} on, {name} stands {1e3 * step.size:.2f} mm from where it stood before against the "
         f"other points ({vector} mm, flange axes)."
     )
+    if step.creeps:
+        text = (
+            f"{name} creeps by {1e3 * step.size:.2f} mm against the other points ({vector} mm, flange axes), half of "
+            f"it before configuration {first}: it is no longer where it was glued."
+        )
     return Anomaly("target_moved", {"point": name}, (first, last), step.size, "m", text)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from calibration_core.identification.checks.conditions import check_precondition
 from calibration_core.identification.checks.noise_audit import (
     anomalies_of,
     exclusion,
+    out_of_shape,
     overstated,
     rigid_triangle,
     window_scatter,
@@ -73,6 +75,7 @@ from calibration_core.observations.average import coordinate_std, position_covar
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Note, Readings
 
 UNLOADED_TORQUE = 1e-6  # N*m
+RELATIVE = "the masses are guesses: the weight shows it relative to them alone"
 STATED = "stated_compliance"  # in the table of typical magnitudes: how far it is off, relative to its value
 
 
@@ -174,15 +177,17 @@ def evaluate_absolute(readings: Readings, cell: Cell, options: Options | None = 
     used = np.ones(len(readings), dtype=bool)
     protected = _protected(readings, options.readmit)
     rejection: GrossErrorRejection | None = None
+    shapeless = out_of_shape(readings, coordinate_std(position_covariance(readings, cell))) & ~protected
+    reject = functools.partial(reject_gross_errors, beyond=int(shapeless.sum()))
     if robust:
-        rejection = reject_gross_errors(problem, start, terms, used, protected)
+        rejection = reject(problem, start, terms, ~shapeless, protected)
         start, used = rejection.fit.parameters, rejection.used
     uncertainty = np.zeros(len(nominal.joints))
     if believed is None:  # what was given was measured
         uncertainty = typical(STATED, cell.robot.rated_load) * nominal.compliance
     choice = select_identifiable(problem.select(np.flatnonzero(used)), start, terms, candidates(cell))
     if robust and choice.chosen:
-        rejection = reject_gross_errors(problem, start, [*terms, choice.term], used, protected)
+        rejection = reject(problem, start, [*terms, choice.term], used, protected)
         used = rejection.used
     stated = nominal_with_tracker(problem, nominal, start, known=known)
     fold = folds(readings.configuration)
@@ -190,7 +195,7 @@ def evaluate_absolute(readings: Readings, cell: Cell, options: Options | None = 
     staged = select_stages(selected, stated, start, terms, choice, corrected=corrected)
     if robust:
         final = staged.final.fit
-        rejection = reject_gross_errors(problem, final.parameters, final.terms, used, protected, final.prior)
+        rejection = reject(problem, final.parameters, final.terms, used, protected, final.prior)
         if not np.array_equal(rejection.used, used):
             used = rejection.used
             again = dataclasses.replace(selected, used=used)
@@ -227,12 +232,12 @@ def _audit(case: Evaluated, readings: Readings, covariance: Float3D) -> NoiseAud
 def _stiffness(
     case: Evaluated, uncertainty: Uncertainty, noise: NoiseAudit, result: GeometryFit
 ) -> tuple[JointStiffness, ...]:
-    joints = case.problem.chain.joints
+    joints, weighed = case.problem.chain.joints, case.problem.chain.inertials_known
     if not case.staged.elastic:
         return ()
     n = len(joints)
     spread = np.array([uncertainty.std(f"{COMPLIANCE}{joint}") for joint in joints])
-    determined = np.isfinite(spread)
+    determined = np.isfinite(spread) & weighed
     variance = np.where(determined, (spread / noise.scale) ** 2, np.inf)
     value = result.parameters.compliance
     solution = Solution(
@@ -254,8 +259,12 @@ def _stiffness(
     table = stiffness_table(joints, solution, noise.scale, freedom, torque_rms, chain.prismatic, chain.rigid)
     return tuple(
         entry
-        if j in case.staged.elastic
-        else dataclasses.replace(entry, identifiable=False, reason=_unproven(float(torque_rms[j]), determined[j]))
+        if j in case.staged.elastic and weighed
+        else dataclasses.replace(
+            entry,
+            identifiable=False,
+            reason=RELATIVE if j in case.staged.elastic else _unproven(float(torque_rms[j]), np.isfinite(spread[j])),
+        )
         for j, entry in enumerate(table)
     )
 

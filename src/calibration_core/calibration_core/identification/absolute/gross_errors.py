@@ -66,6 +66,7 @@ def reject_gross_errors(
     used: Bool1D,
     protected: Bool1D,
     prior: Prior | None = None,
+    beyond: int = 0,
 ) -> GrossErrorRejection:
     """Fit, take out gross errors one at a time, refit, and take back what fits after all.
 
@@ -82,8 +83,9 @@ def reject_gross_errors(
         used: (m,) readings to begin with.
         protected: (m,) readings that must be used whatever they look like.
         prior: What is known of the terms already.
+        beyond: Readings that are wrong by no model, which do not count towards the share allowed.
     """
-    budget = max(1, int(MOST_EXCLUDED_AT_REST * len(problem)))
+    budget = beyond + max(1, int(MOST_EXCLUDED_AT_REST * len(problem)))
     used = used | protected
     result, squared, threshold, linear = _judge(problem, start, terms, used, prior)
     for _ in range(ROUNDS):

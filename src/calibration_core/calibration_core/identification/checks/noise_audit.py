@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -18,9 +19,12 @@ from calibration_core.identification.result.estimate import (
 from calibration_core.identification.statistics import LEVEL, chi2_limit
 from calibration_core.input_checks.loaded import MANY, OVERSTATED, overstated_words
 from calibration_core.observations.average import coordinate_std
+from calibration_core.policy import MAD
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Int1D, Readings
 
 UNLOADED_FORCE = 0.02  # steps below this share of the largest force count as unloaded
+OTHERS = 2  # points at the same step, to which a reading must stand wrong to be the one at fault
+UNUSUAL = 6.0  # times the usual change of a distance
 
 
 def rigid_triangle(position: Float2D, readings: Readings, used: Bool1D) -> NoiseCheck | None:
@@ -173,6 +177,32 @@ def _laid_on(shape: Float2D, table: Float3D) -> Float3D:
     sign = np.linalg.det(u @ vt)
     u[:, :, -1] *= sign[:, None]
     return centred @ (u @ vt)
+
+
+def out_of_shape(readings: Readings, noise: float) -> Bool1D:
+    """Return the (m,) readings whose distances to all other points of their step, two or more, are not the usual ones.
+
+    No model of the robot is needed: whatever moves the tool keeps its shape.
+
+    Args:
+        readings: m readings, absolute positions.
+        noise: Claimed standard deviation of one coordinate, m.
+    """
+    keys = np.column_stack([readings.configuration, readings.step])
+    steps, row = np.unique(keys, axis=0, return_inverse=True)
+    table = np.full((len(steps), len(readings.points), 3), np.nan)
+    table[row.reshape(-1), readings.point] = readings.position
+    distance = np.linalg.norm(table[:, :, None] - table[:, None], axis=-1)
+    change = np.full_like(distance, np.nan)
+    for i, j in itertools.permutations(np.unique(readings.point), 2):
+        seen = np.isfinite(distance[:, i, j])
+        if seen.any():
+            change[:, i, j] = np.abs(distance[:, i, j] - np.median(distance[seen, i, j]))
+    known = np.isfinite(change)
+    usual = max(np.sqrt(2) * noise, MAD * float(np.median(change[known]))) if known.any() else np.inf
+    off = (change > UNUSUAL * usual).sum(axis=2)
+    gross = (off == known.sum(axis=2)) & (off >= OTHERS)
+    return np.asarray(gross[row.reshape(-1), readings.point])
 
 
 # --- what is wrong with the data and no physics of the robot, as far as an identification notices it ------------------

@@ -1,4 +1,4 @@
-"""What two engines with stages of their own cannot mend: each of these tests passes once there is one of them."""
+"""What is told from few readings beside others of their kind: gross errors, guessed masses, glue that creeps, noise."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from calibration_core.cell import Cell
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.identification.absolute.evaluate import evaluate_absolute
 
-one_engine = pytest.mark.xfail(strict=True, reason="one engine")
 POINTS = ("mp1", "mp2", "mp3")
 STIFFNESS = np.array([1.5e6, 2e6, 1e6, 3e5, 3e5, 2e5])
 
@@ -37,7 +36,6 @@ def test_exact_geometry_is_not_corrected_where_stiffnesses_are_stated_wrong(cell
         assert not [one for one in found.staged.stages if one.name == "geometry" and one.kept]
 
 
-@one_engine
 def test_gross_errors_beyond_two_per_cent_are_set_aside(cell: Cell) -> None:
     readings = make_readings(cell, truth_of(cell, 5).replace(compliance=1 / STIFFNESS), random_angles(5, 50, 6))
     wrong = np.random.default_rng(1).choice(len(readings), 6, replace=False)
@@ -65,30 +63,31 @@ def test_what_is_predicted_of_configurations_left_out_has_one_figure(loaded: Cel
     assert found.identification.fit.held_out_rms_after == pytest.approx(found.held_out_after, rel=0.01)
 
 
-@one_engine
 def test_masses_that_are_guesses_reach_the_intervals_of_stiffness(cell: Cell) -> None:
     truth = truth_of(cell, 5).replace(compliance=1.15 / STIFFNESS)
     guessed = cell.model_copy(update={"robot": cell.robot.model_copy(update={"inertials_known": False})})
     readings = make_readings(cell, truth, random_angles(5, 60, 6))
     known, open_ = (diagnose(readings, one).identification.stiffness[1] for one in (cell, guessed))
     assert known.identifiable
+    assert not open_.identifiable
     assert open_.std > 2 * known.std
 
 
-@one_engine
-def test_a_target_whose_glue_creeps_is_no_noise(loaded: Cell) -> None:
-    """One of three targets creeps by 0.3 mm from the first configuration on; the tracker is as good as stated."""
+@pytest.mark.parametrize("lasts", [2, 5, 10])
+def test_a_target_whose_glue_creeps_is_no_noise(loaded: Cell, lasts: float) -> None:
+    """One of three targets creeps on its flange by 0.3 mm from the first configuration on; the tracker is as stated."""
     readings = loaded_readings(loaded, 3, 16)
     order = np.unique(readings.configuration, return_inverse=True)[1].reshape(-1)
-    crept = 3e-4 * (1 - np.exp(-(order + readings.step / 9) / 5)) * (readings.point == 1)
-    found = diagnose(
-        dataclasses.replace(readings, position=readings.position + crept[:, None] * [0.0, 0.6, 0.8]), loaded
-    )
+    crept = 3e-4 * (1 - np.exp(-(order + readings.step / 9) / lasts)) * (readings.point == 1)
+    along = np.einsum("i,iam->ma", [0.0, 0.6, 0.8], true_state(readings, loaded).at.flange)
+    found = diagnose(shifted(readings, loaded, crept[:, None] * along), loaded)
     assert found.noise_known < 1.2 * 2e-5
-    assert [one for one in found.anomalies if one.kind in {"target_moved", "loose_target"}]
+    (moved,) = [one for one in found.anomalies if one.kind == "target_moved"]
+    assert moved.location == {"point": "mp2"}
+    assert "mp2 creeps by 0.2" in moved.text
 
 
-@one_engine
+@pytest.mark.xfail(strict=True, reason="backlash is about the axis of its joint alone: no effect has it across")
 def test_clearance_across_an_axis_is_placed_at_its_joint(loaded: Cell) -> None:
     """The second joint tilts by a fixed angle to the side to which the load tips it."""
     readings = loaded_readings(loaded, 3, 16)
