@@ -20,7 +20,6 @@ from calibration_core.estimation.hypotheses import (
     is_axial,
     offer,
     physics,
-    typical_sizes,
 )
 from calibration_core.estimation.noise.strata import fit_whitening, strata_of, usual_errors
 from calibration_core.estimation.noise.whitening import Whitening, whiten
@@ -29,10 +28,8 @@ from calibration_core.estimation.rows import NullModel, sample, state_at, weight
 from calibration_core.estimation.search import Search, Selection
 from calibration_core.estimation.shifts import FAMILY, shifts, spacing
 from calibration_core.estimation.springs import (
-    IMITATING,
     SPRING,
     fit_compensator_geometry,
-    gears_beside_springs,
 )
 from calibration_core.identification.absolute.evaluate import Evaluated
 from calibration_core.identification.absolute.prediction_error import compare
@@ -40,7 +37,7 @@ from calibration_core.identification.geometry.fit import absolute_problem
 from calibration_core.identification.geometry.terms import ElasticityTerm, GeometryTerm
 from calibration_core.identification.statistics import FINEST, chi2_limit
 from calibration_core.model.effects.absolute.joint_elasticity import AXIAL
-from calibration_core.model.effects.applied import Acting, stacked
+from calibration_core.model.effects.applied import stacked
 from calibration_core.model.effects.candidate import Candidate, Parameter, number_of, typical
 from calibration_core.model.effects.state import State
 from calibration_core.model.robot import chain_of
@@ -50,7 +47,6 @@ from calibration_core.policy import FALSE_EXCLUSION, MOST_EXCLUDED
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Readings
 
 ROUNDS = 3  # searches about what was found, at most
-STANDS = 0.01  # of the largest torque of a joint: less changes nothing else
 SEARCH_BLOCKS = {"time": 15, "posture": 15}
 COVARIANCE_BLOCKS = 40
 REMAIN = 2  # configurations under load, where others of them are left out
@@ -165,21 +161,13 @@ def _searched(model: NullModel, known: Estimate | None = None) -> Estimate:
         known = _search(model)
     if _sags(known):
         return _search(_about(known, model), known)
-    spring = spring_in_question(known.search, known.selection)
-    if spring:
-        about = _about(known, model)
-        again = _search(about.at(about.parameters, spring), known)
-        if again.extended.model.springs and _clearly_better(known, again):
-            known = again
     for _ in range(ROUNDS):
         if not known.extended.model.springs:
             break
         again = _search(_about(known, model), known)
         if not (_unloads(again) and _clearly_better(known, again)):
             break
-        before, known = known, again
-        if _stands(before, known):
-            break
+        known = again
     return known
 
 
@@ -203,14 +191,6 @@ def _clearly_better(found: Estimate, other: Estimate) -> bool:
     before, after = (one.extended.held_out(blocks).T[:, model.used] for one in (found, other))
     gain = compare(before, after, configuration[model.used])
     return bool(gain.clear or gain.general)
-
-
-def _stands(before: Estimate, after: Estimate) -> bool:
-    """Say whether the same was found again, and joints carry what they did."""
-    places = [{part.candidate.place for part in found.extended.parts} for found in (before, after)]
-    was, torque = (found.extended.model.state.torque for found in (before, after))
-    moved = np.abs(torque - was) > STANDS * np.abs(torque).max(axis=1, keepdims=True)
-    return places[0] == places[1] and not moved.any()
 
 
 def _sags(found: Estimate) -> bool:
@@ -249,7 +229,6 @@ def _search(model: NullModel, known: Estimate | None = None) -> Estimate:
             np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(k - reach, k + reach + 1) for k in near)])
         )
         helped = {c.location["joint"] for c in more}
-        gears = gears_beside_springs(selection.accepted, field.offered.hypotheses, model.state)
         physical = {i: field.offered.hypotheses[i] for i in selection.accepted if i not in steps}
         limit = search.limit
         del search  # hundreds of megabytes beside the next one
@@ -257,7 +236,7 @@ def _search(model: NullModel, known: Estimate | None = None) -> Estimate:
             offer((*more, *catalogue, *shifts(readings, model.state.chain, fine))),
             lambda new: _whitened(model, new, whitening),
         )
-        kept = [one for i, one in physical.items() if i in gears or one.location.get("joint") not in helped]
+        kept = [one for one in physical.values() if one.location.get("joint") not in helped]
         begin = [_find(field.offered, one) for one in kept]
         sprung = {one.location["joint"] for one in physical.values() if one.effect == SPRING}
         springs = _these(field.offered, [one for one in more if one.location["joint"] in sprung])
@@ -382,33 +361,3 @@ def settled(extended: Extended) -> Bool1D:
     if np.mean(~keep) > MOST_EXCLUDED:
         return used
     return np.asarray(keep)
-
-
-ALIKE = 0.75  # share of what all effects of the joint explain, in nats, that a spring must explain alone
-
-
-def spring_in_question(search: Search, selection: Selection) -> Acting:
-    """Return the spring that explains most of what several effects of one joint explain, and its size; else nothing."""
-    hypotheses, candidates = search.field.offered.hypotheses, search.field.offered.candidates
-    at_joint: dict[object, list[int]] = {}
-    for i in selection.accepted:
-        if set(hypotheses[i].location) == {"joint"}:
-            at_joint.setdefault(hypotheses[i].location["joint"], []).append(i)
-    for joint, several in at_joint.items():
-        effects = {hypotheses[i].effect for i in several}
-        if len(effects) < 2 or SPRING in effects or not effects & IMITATING:
-            continue
-        others = tuple(i for i in selection.accepted if i not in several)
-        springs = [
-            i for i in search.judged if hypotheses[i].effect == SPRING and hypotheses[i].location["joint"] == joint
-        ]
-        explained = search.sizes(selection.accepted).value - search.sizes(others).value
-        for index in sorted(springs, key=lambda i: -search.score(others, i)[0]):
-            if search.score(others, index)[0] < ALIKE * explained:
-                break
-            trial = search.trial(others, index)
-            if not search.objection(trial):
-                (member,) = hypotheses[index].members
-                value = trial.posterior((member,))[0] * typical_sizes(candidates[member])
-                return ((candidates[member], np.asarray(value)),)
-    return ()

@@ -158,8 +158,7 @@ class Search(Comparisons):
                 accepted = together
                 continue
             close = [k for k in order[order.index(found) :] if gain[k] > gain[found] - EQUIVALENT]
-            instead = self._instead(accepted, float(gain[found]), narrow=narrow)
-            accepted = instead or (*accepted, self._best_proven(accepted, [self.judged[k] for k in close]))
+            accepted = (*accepted, self._best_proven(accepted, [self.judged[k] for k in close]))
         return accepted
 
     def _together(self, accepted: Accepted) -> Accepted:
@@ -208,24 +207,6 @@ class Search(Comparisons):
         nats = self.scores(accepted, narrow=narrow).nats
         return np.where(self.alone, nats, -np.inf) if narrow else nats
 
-    def _instead(self, accepted: Accepted, gained: float, *, narrow: bool) -> Accepted:
-        """Return the accepted ones, one of them swapped, where that gains as much as one more; else nothing.
-
-        Args:
-            accepted: Hypotheses.
-            gained: What one more would gain, nats; more than `EQUIVALENT`, so that every swap gains.
-            narrow: Swap in single hypotheses alone.
-        """
-        for index in accepted:
-            others = tuple(i for i in accepted if i != index)
-            own = self.score(others, index)[0]
-            gain = self._gain(others, narrow=narrow) if narrow else self.scores(others, narrow=True).nats
-            better = [int(k) for k in np.argsort(-gain, kind="stable")[:TRIED] if gain[k] > own + gained - EQUIVALENT]
-            for k in better:
-                if self.judged[k] not in accepted and self._passes(others, self.judged[k]):
-                    return tuple(self.judged[k] if i == index else i for i in accepted)
-        return ()
-
     def refine(self, accepted: Accepted, *, narrow: bool = False) -> Accepted:
         """Drop what others make needless, swap what another does better, or a few of a family do as well."""
         hypotheses = self.field.offered.hypotheses
@@ -243,25 +224,7 @@ class Search(Comparisons):
                 accepted = others
             elif self.judged[best] != index and gain[best] > own + SWAP and self._passes(others, self.judged[best]):
                 accepted = tuple(self.judged[best] if i == index else i for i in accepted)
-            elif hypotheses[index].is_law_of_a_joint:
-                law = self._law_beside(others, index)
-                if law != index and law not in others and self._passes(others, law):
-                    accepted = tuple(law if i == index else i for i in accepted)
         return accepted
-
-    def _law_beside(self, others: Accepted, index: int) -> int:
-        """Return the law of a kind that other joints follow, if it is more probable than the accepted one; else that.
-
-        Which laws the other joints follow was not known when it was accepted.
-        """
-        hypotheses, nats = self.field.offered.hypotheses, self.scores(others, narrow=True).nats
-        one = hypotheses[index]
-        laws = sorted(self.laws_of(one.location), key=lambda i: -nats[self.place[i]])
-        close = [i for i in laws if nats[self.place[i]] > nats[self.place[laws[0]]] - EQUIVALENT]
-        law = self._best_proven(others, close)
-        effect = hypotheses[law].effect
-        elsewhere = {hypotheses[i].effect for i in others if hypotheses[i].location != one.location}
-        return law if effect != one.effect and effect in elsewhere else index
 
     def _few(self, others: Accepted, family: int) -> Accepted:
         """Return members of a family that alone do as well as all of it; empty where they do not.

@@ -13,7 +13,7 @@ fitted without such waves and offered as one more hypothesis, which is judged as
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from calibration_core.model.effects.state import State
 from calibration_core.model.effects.structure import pose_dependent_stiffness
 from calibration_core.model.effects.structure.gravity_compensator import (
     EFFECT,
-    OPEN_ORDERS,
     TURN,
     Triangle,
     carriers,
@@ -36,8 +35,7 @@ from calibration_core.model.effects.structure.gravity_compensator import (
 from calibration_core.timeseries import Float1D, Float2D, Float3D
 
 SPRING = EFFECT.name
-IMITATING = frozenset({WAVE, pose_dependent_stiffness.EFFECT.name})  # a spring, or what one of another shape leaves
-LIKE_SPRING = IMITATING | {SPRING}
+LIKE_SPRING = frozenset({SPRING, WAVE, pose_dependent_stiffness.EFFECT.name})  # the latter two imitate one
 REACH = 30.0  # degrees about the offered anchor
 LEAST, MOST = 0.05, 0.9  # of flatness and preload
 SCALE = (5.0, 0.1, 0.1)  # of anchor, flatness and preload
@@ -57,11 +55,10 @@ def fit_compensator_geometry(
         weigh: Turns movements (m, 3, k) of all readings into the search's whitened columns (r, k).
     """
     hypotheses = field.offered.hypotheses
-    gears = gears_beside_springs(accepted, hypotheses, state)
     found = []
     for joint in carriers(state):
         name = state.chain.joints[joint]
-        there = [i for i in accepted if hypotheses[i].location.get("joint") == name and i not in gears]
+        there = [i for i in accepted if hypotheses[i].location.get("joint") == name]
         near = [i for i in there if hypotheses[i].effect in LIKE_SPRING]
         if len(near) == 1 and one_wave(hypotheses[near[0]]):
             continue
@@ -74,20 +71,6 @@ def fit_compensator_geometry(
 def one_wave(hypothesis: Hypothesis) -> bool:
     """Say whether a hypothesis is one wave, more than once a turn: alone it is no spring, of whatever law."""
     return hypothesis.effect == WAVE and isinstance(hypothesis.shape, int) and hypothesis.shape > 1
-
-
-def gears_beside_springs(accepted: Sequence[int], hypotheses: Sequence[Hypothesis], state: State) -> frozenset[int]:
-    """Return which accepted hypotheses are gears beside springs: single waves of higher order; springs are smooth.
-
-    Beside loads such waves also imitate what a spring leaves to the law of its joint: none is taken for a gear there.
-    """
-    if state.loaded:
-        return frozenset()
-    joints = [hypotheses[i].location.get("joint") for i in accepted if hypotheses[i].effect == SPRING]
-    several = ((i, hypotheses[i].shape) for i in accepted if hypotheses[i].location.get("joint") in joints)
-    return frozenset(
-        i for i, order in several if hypotheses[i].effect == WAVE and isinstance(order, int) and order > OPEN_ORDERS
-    )
 
 
 def _shape(field: Field, others: Accepted, state: State, joint: int, weigh: Callable[[Float3D], Float2D]) -> Candidate:

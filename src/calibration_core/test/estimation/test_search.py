@@ -165,10 +165,9 @@ def gears(seed: int, strength: float) -> tuple[np.ndarray, Float2D, Float2D, lis
     return truth + noise, flat, np.column_stack([columns, near]), candidates
 
 
-@pytest.mark.parametrize("strength", [0.5, 3.0])  # it is accepted last or first
 @pytest.mark.parametrize("seed", range(4))
-def test_of_laws_that_do_as_well_a_joint_has_that_of_the_others(seed: int, strength: float) -> None:
-    residual, flat, every, candidates = gears(seed, strength)
+def test_of_laws_that_do_as_well_a_joint_has_that_of_those_before(seed: int) -> None:
+    residual, flat, every, candidates = gears(seed, 0.5)
     assert set(searched(residual, flat, every, candidates)) == {f"zone {k}" for k in range(4)}
     alone = residual - every[:, :3].sum(axis=1)
     assert searched(alone, flat, every[:, 3:], candidates[3:]) == ["clearance"]
