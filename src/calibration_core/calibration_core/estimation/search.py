@@ -158,7 +158,8 @@ class Search(Comparisons):
                 accepted = together
                 continue
             close = [k for k in order[order.index(found) :] if gain[k] > gain[found] - EQUIVALENT]
-            accepted = (*accepted, self._best_proven(accepted, [self.judged[k] for k in close]))
+            instead = self._instead(accepted, float(gain[found]), narrow=narrow)
+            accepted = instead or (*accepted, self._best_proven(accepted, [self.judged[k] for k in close]))
         return accepted
 
     def _together(self, accepted: Accepted) -> Accepted:
@@ -206,6 +207,24 @@ class Search(Comparisons):
         """Return what hypotheses gain, nats; narrow: single ones, minus infinity for families."""
         nats = self.scores(accepted, narrow=narrow).nats
         return np.where(self.alone, nats, -np.inf) if narrow else nats
+
+    def _instead(self, accepted: Accepted, gained: float, *, narrow: bool) -> Accepted:
+        """Return the accepted ones, one of them swapped, where that gains as much as one more; else nothing.
+
+        Args:
+            accepted: Hypotheses.
+            gained: What one more would gain, nats; more than `EQUIVALENT`, so that every swap gains.
+            narrow: Swap in single hypotheses alone.
+        """
+        for index in accepted:
+            others = tuple(i for i in accepted if i != index)
+            own = self.score(others, index)[0]
+            gain = self._gain(others, narrow=narrow) if narrow else self.scores(others, narrow=True).nats
+            better = [int(k) for k in np.argsort(-gain, kind="stable")[:TRIED] if gain[k] > own + gained - EQUIVALENT]
+            for k in better:
+                if self.judged[k] not in accepted and self._passes(others, self.judged[k]):
+                    return tuple(self.judged[k] if i == index else i for i in accepted)
+        return ()
 
     def refine(self, accepted: Accepted, *, narrow: bool = False) -> Accepted:
         """Drop what others make needless, swap what another does better, or a few of a family do as well."""
