@@ -511,16 +511,16 @@ def test_an_operator_changes_the_order_and_leaves_a_point_out(
     assert ask(skip) == "no point is being measured one after the other"
     goals = GoalClient(client, Measure, "/tracker/measure")
     assert goals.wait_for_server(15.0)
-    told: list[tuple[str, list[str]]] = []
+    aimed: list[tuple[str, list[str]]] = []
 
     def hear(message: Any) -> None:
-        told.append((message.feedback.point, list(message.feedback.left)))
+        aimed.append((message.feedback.point, list(message.feedback.left)))
 
     names = ["mp1", "mp2", "mp3"]
     handle = finish(goals.send_goal_async(Measure.Goal(names=names), feedback_callback=hear))
 
     def measures(name: str, left: list[str]) -> None:
-        until(lambda: told[-1:] == [(name, left)])
+        until(lambda: aimed[-1:] == [(name, left)])
         until(lambda: node.beam.awaited.startswith(f"{name}: nobody has written it"))
 
     def write(name: str) -> None:

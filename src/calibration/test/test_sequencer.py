@@ -161,8 +161,8 @@ def test_a_point_that_the_operator_leaves_out_stays_out_of_the_posture(
     result = ended(handle)
     assert (result.outcome.code, result.readings) == (Outcome.OK, 4)
     assert world.asked == [["mp1", "mp2", "mp3"], ["mp1", "mp3"]]
-    told = [(one.configuration, one.text) for one in operator.events if one.kind == SessionEvent.POINT_EXCLUDED]
-    assert told == [(7, f"mp2 {why}")]
+    excluded = [(one.configuration, one.text) for one in operator.events if one.kind == SessionEvent.POINT_EXCLUDED]
+    assert excluded == [(7, f"mp2 {why}")]
     reading = [one for one in operator.states if one.state == ProcedureState.READING and one.point]
     assert {(one.point, *one.points_left) for one in reading} == {("mp1", "mp2", "mp3"), ("mp1", "mp3")}
     assert list(reading[-1].points_excluded) == ["mp2"]

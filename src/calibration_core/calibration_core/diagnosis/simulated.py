@@ -20,7 +20,7 @@ from calibration_core.diagnosis.evidence.extended import loaded_state
 from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.estimation.rows import state_at
 from calibration_core.identification.absolute.evaluate import evaluate_absolute, identification_of
-from calibration_core.identification.checks.noise_audit import OTHERS, out_of_shape
+from calibration_core.identification.checks.noise_audit import out_of_shape
 from calibration_core.identification.geometry.fit import absolute_problem, start_parameters
 from calibration_core.identification.result.estimate import MODEL_FREE, Anomaly, Identification, NoiseAudit
 from calibration_core.identification.stiffness.loaded import (
@@ -34,6 +34,7 @@ from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
 from calibration_core.observations.average import coordinate_std, position_covariance
 from calibration_core.observations.kinds import is_loaded, loaded_configurations
+from calibration_core.policy import OTHERS
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Readings
 
 NOT_COMPARED = {

@@ -3,7 +3,8 @@
 Compliances are positive.  Sag under the robot's own weight resembles what geometry and gears do to a posture: it is
 believed only if gravity turned by 90 degrees explains far less.  A spring takes weight off its joint; waves that do so,
 and are far larger than those of gears, are a spring.  Waves of many orders at all joints follow whatever goes with the
-posture where configurations are few: they must say something of configurations left out.  A step must matter.
+posture where configurations are few: they must say something of configurations left out.  Noise that lasts resembles a
+drift, of the tracker or of the sensor.  A step must matter.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from calibration_core.estimation.noise.whitening import Whitening
 from calibration_core.estimation.rows import NullModel, weighted
 from calibration_core.estimation.shifts import FAMILY, MOVED
 from calibration_core.estimation.springs import SPRING, Relief, Weighed, one_wave, without_springs
+from calibration_core.model.effects import effects_with
 from calibration_core.model.effects.absolute.joint_elasticity import turned_columns
-from calibration_core.model.effects.candidate import Candidate, number_of
+from calibration_core.model.effects.candidate import Candidate, Trait, number_of
 from calibration_core.model.effects.possible import forbidden, nearest, out_of_bounds
 from calibration_core.model.effects.structure.gravity_compensator import OPEN, OPEN_ORDERS
 from calibration_core.policy import EQUIVALENT
@@ -31,7 +33,8 @@ SECOND_ORDER = 5e-3  # of the movement that is accepted: complementary stiffness
 FOLLOWS = 2.0  # times the noise: waves of all joints that leave more of blocks left out, and
 SAVED = 2 / 3  # save less of their squares, follow the readings; other causes may yet be missing beside them
 EACH = 3.0  # nats each, on the average: waves that gain more are shown by more than a few readings
-CHANCE = 10.0  # nats: more than the best of all gains by chance
+LASTING = 3.0  # configurations that noise may share: a drift needs as many times the evidence
+CHANCE = 10.0  # nats: more than the best of all gains by chance where the noise does not last
 LEAST_STEP = 5e-5  # m; smaller steps are not worth a word
 STEP_SHARE = 0.1  # of the squared residual on blocks left out, that a step must explain
 
@@ -55,6 +58,8 @@ class Controls:
             return _small(trial)
         if trial.movement < SECOND_ORDER * trial.movement_of_others:
             return "it is no larger than what second order leaves of larger effects"
+        if one.effect in effects_with(Trait.DRIFT):
+            return _lasting(trial)
         if one.effect == SPRING:
             return self._as_spring(trial)
         if one.effect == WAVE:
@@ -141,6 +146,12 @@ def _small(trial: Trial) -> str:
     share = min(one.share for one in trial.proofs)
     enough = share > STEP_SHARE and float(np.linalg.norm(MOVED * mean[:3])) > LEAST_STEP
     return "" if enough else "the step is too small to matter"
+
+
+def _lasting(trial: Trial) -> str:
+    if min(trial.gain, *(one.nats for one in trial.proofs)) > LASTING * CHANCE:
+        return ""
+    return f"it does not convince where {LASTING:g} configurations in a row may share their noise"
 
 
 def impossible(trial: Trial) -> str:

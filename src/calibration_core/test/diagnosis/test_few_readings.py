@@ -1,4 +1,4 @@
-"""What is told from few readings beside others of their kind: gross errors, guessed masses, glue that creeps, noise."""
+"""What few readings show beside others of their kind: gross errors, guessed masses, glue that creeps, noise."""
 
 from __future__ import annotations
 

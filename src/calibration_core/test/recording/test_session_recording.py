@@ -127,8 +127,8 @@ def test_points_that_an_operator_left_out_are_told_and_cost_their_readings_alone
         out = tmp_path / f"out {len(results)}"
         assert main(["identify", str(recording), "--cell", str(CELL), "--out", str(out)]) == 0
         results.append(json.loads((out / "result.json").read_text()))
-    told = [(one["place"], one["text"]) for one in results[1]["notes"] if one["kind"] == "point_excluded"]
-    assert told == [
+    reported = [(one["place"], one["text"]) for one in results[1]["notes"] if one["kind"] == "point_excluded"]
+    assert reported == [
         ("configuration 3", "mp2 by A. Smith: the cable hides it"),
         ("configuration 5", "mp1 by A. Smith: knocked"),
     ]

@@ -21,7 +21,7 @@ from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.identification.stiffness.problem import LoadedProblem
 from calibration_core.model.effects import effect_named
 from calibration_core.model.effects.state import State
-from calibration_core.policy import CONFIRMED, FAULT_CHANCE, NOTHING_ELSE, SLIGHT_STEP
+from calibration_core.policy import CONFIRMED, CREEP, FAULT_CHANCE, NOTHING_ELSE, SLIGHT_STEP
 from calibration_core.timeseries import Bool1D, Float1D, Float2D, Float3D, Int1D, Readings, numbers_in_time
 
 
@@ -90,7 +90,6 @@ def own_variances(squares: Float1D) -> Float1D:
 RANK = 1e-9  # of the largest singular value: what depends on other columns
 FEWEST = 6  # degrees of freedom that must be left to fit the geometry beside a step
 EDGE = 2  # configurations on either side of a change, at least
-CREEP = (2.0, 5.0, 10.0)  # configurations over which glue that creeps has come to 63 % of where it ends
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

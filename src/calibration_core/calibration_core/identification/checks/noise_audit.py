@@ -19,12 +19,10 @@ from calibration_core.identification.result.estimate import (
 from calibration_core.identification.statistics import LEVEL, chi2_limit
 from calibration_core.input_checks.loaded import MANY, OVERSTATED, overstated_words
 from calibration_core.observations.average import coordinate_std
-from calibration_core.policy import MAD
+from calibration_core.policy import MAD, OTHERS, UNUSUAL
 from calibration_core.timeseries import Bool1D, Float2D, Float3D, Int1D, Readings
 
 UNLOADED_FORCE = 0.02  # steps below this share of the largest force count as unloaded
-OTHERS = 2  # points at the same step, to which a reading must stand wrong to be the one at fault
-UNUSUAL = 6.0  # times the usual change of a distance
 
 
 def rigid_triangle(position: Float2D, readings: Readings, used: Bool1D) -> NoiseCheck | None:
