@@ -16,7 +16,7 @@ from calibration_core.diagnosis.proposals.choose import Offers
 from calibration_core.diagnosis.result.finding import HANDED_OUT, Diagnosis, Rest
 from calibration_core.errors import EquilibriumError, IdentificationError
 from calibration_core.identification.geometry.parameter_table import with_known_effects
-from calibration_core.identification.identify import with_given
+from calibration_core.identification.identify import fit_freed, with_given
 from calibration_core.identification.result.estimate import Identification
 from calibration_core.identification.result.tested import PARTS, PartKind
 from calibration_core.identification.statistics import beyond_noise
@@ -24,7 +24,13 @@ from calibration_core.identification.stiffness.end_effector import accounted, in
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.effects.recordings import RECORDING
 from calibration_core.model.identified.model_file import GivenModel
-from calibration_core.observations.kinds import holds_single_steps, is_loaded
+from calibration_core.observations.kinds import (
+    holds_both,
+    holds_single_steps,
+    is_loaded,
+    loaded_configurations,
+    postures_at_rest,
+)
 from calibration_core.policy import MAD
 from calibration_core.timeseries import Bool1D, Float2D, Note, Readings
 
@@ -288,9 +294,12 @@ def _diagnose(
     identified: Identification | None = None,
 ) -> Diagnosis:
     # a recording needs one of the two, and each is slow to load
-    if is_loaded(readings) and not (cell.measurements.points == "absolute" and holds_single_steps(readings)):
+    few = postures_at_rest(readings) < len(loaded_configurations(readings))
+    if is_loaded(readings) and (few or cell.measurements.points != "absolute"):
         from calibration_core.diagnosis.loaded import diagnose_loaded
 
+        if identified is None and holds_both(readings, cell):
+            identified = fit_freed(readings, cell, options, test)
         return diagnose_loaded(readings, cell, options, test, offers, identified)
     from calibration_core.diagnosis.positions import diagnose_mixed, diagnose_still
 

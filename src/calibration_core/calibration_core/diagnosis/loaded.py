@@ -58,6 +58,7 @@ from calibration_core.diagnosis.result.finding import Diagnosis, Rest, by_size
 from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.result.estimate import Anomaly, Identification
 from calibration_core.identification.result.tested import MISFIT
+from calibration_core.identification.several.mixed import BothFits
 from calibration_core.identification.statistics import Rows, rms, without_offsets
 from calibration_core.identification.stiffness.loaded import (
     Options,
@@ -104,8 +105,11 @@ def diagnose_loaded(
 ) -> Diagnosis:
     """Say what the model of a loaded recording leaves out; arguments as `diagnose`, errors as `prepare_loaded`."""
     options = options or Options()
-    if identified is not None and isinstance(identified.basis, PreparedLoaded):
-        prepared, identification = identified.basis, identified
+    basis = None if identified is None else identified.basis
+    if isinstance(basis, PreparedLoaded):
+        prepared, identification = basis, identified
+    elif isinstance(basis, BothFits) and basis.loaded is not None:
+        prepared, identification = basis.loaded, identified
     else:
         prepared = prepare_loaded(readings, cell, options)
         identification = identify_prepared(prepared, cell, options, test)
@@ -146,7 +150,7 @@ def diagnose_loaded(
     model = extended_model(prepared.parameters, extended) if extended.accepted else None
     proposals = NONE_ASKED
     if offers is not None:
-        known = LoadedKnowledge(extended, selection, offers, cell, seen, prepared.frames)
+        known = LoadedKnowledge(extended, selection, offers, cell, seen, prepared)
         proposals = choose(known, offers.each)
     return Diagnosis(
         verdict=verdict,

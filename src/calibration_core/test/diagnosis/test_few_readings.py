@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from absolute_cases import SIGMA, make_cell, make_readings, random_angles, truth_of
-from loaded_cases import shifted, true_state
+from loaded_cases import planted, shifted, true_state
 from robots import loaded_readings, write_cell
 
 from calibration_core.cell import Cell
 from calibration_core.diagnosis.diagnose import diagnose
 from calibration_core.identification.absolute.evaluate import evaluate_absolute
+from calibration_core.model.effects import candidates
+from calibration_core.timeseries import Readings
 
 POINTS = ("mp1", "mp2", "mp3")
 STIFFNESS = np.array([1.5e6, 2e6, 1e6, 3e5, 3e5, 2e5])
@@ -85,6 +88,41 @@ def test_a_target_whose_glue_creeps_is_no_noise(loaded: Cell, lasts: float) -> N
     (moved,) = [one for one in found.anomalies if one.kind == "target_moved"]
     assert moved.location == {"point": "mp2"}
     assert "mp2 creeps by 0.2" in moved.text
+
+
+def crowded(cell: Cell, seed: int) -> Readings:
+    """Return a recording in which the simplest form of every effect of the robot is there at .3 of its usual size."""
+    readings, rng = loaded_readings(cell, seed, 15), np.random.default_rng(seed)
+    state = true_state(readings, cell)
+    several = [
+        one for one in candidates(state) if one.family in {"structure", "joint law"} and len(one.parameters) == 1
+    ]
+    sizes = 0.3 * np.abs(rng.standard_normal(len(several))) * [one.parameters[0].typical for one in several]
+    moved = sum(size * one.columns(state)[:, :, 0] for one, size in zip(several, sizes, strict=True))
+    return shifted(readings, cell, np.asarray(moved))
+
+
+def off_axis(cell: Cell, seed: int) -> Readings:
+    """Return a recording with a bearing that gives way."""
+    return planted(cell, seed, "off_axis_compliance", "before", [5e-7, 3e-7, 0.0], 15, joint="joint_2")
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("recorded", [loaded_readings, crowded, off_axis])
+def test_a_configuration_that_ended_before_its_load_changes_nothing(
+    recorded: Callable[[Cell, int], Readings], seed: int, loaded: Cell
+) -> None:
+    """One unloaded posture more is no other recording: what it says is what is said without it."""
+    readings = recorded(loaded, seed)
+    last = readings.configuration == readings.configuration.max()
+    without, ended = (readings.select(np.flatnonzero(~last | some)) for some in (False, readings.step == 0))
+    before, after = diagnose(without, loaded), diagnose(ended, loaded)
+    assert after.verdict == before.verdict
+    assert {(one.effect, str(one.location)) for one in after.findings} == {
+        (one.effect, str(one.location)) for one in before.findings
+    }
+    for joint, (value, std) in before.stiffness.items():
+        assert after.stiffness[joint] == pytest.approx((value, std), abs=0.3 * std)
 
 
 @pytest.mark.xfail(strict=True, reason="backlash is about the axis of its joint alone: no effect has it across")

@@ -35,7 +35,6 @@ from calibration_core.estimation.hypotheses import Hypothesis, typical_sizes
 from calibration_core.estimation.rows import NullModel, state_at
 from calibration_core.estimation.shifts import FAMILY
 from calibration_core.identification.geometry.fit import problem_of
-from calibration_core.identification.geometry.frames import FrameFit
 from calibration_core.identification.stiffness.loaded import PreparedLoaded
 from calibration_core.identification.stiffness.problem import build_problem
 from calibration_core.model.effects import effects_with
@@ -159,8 +158,6 @@ class _Postures(Knowledge):
 def propose_loads(prepared: PreparedLoaded, used: Int1D, cell: Cell, offers: Offers) -> Proposals:
     """Choose among configurations with loads for the stiffnesses alone, as the loaded steps of a recording show them.
 
-    A joint that gave way in no step is taken for as stiff as it is believed to be.
-
     Args:
         prepared: The loaded steps of the recording.
         used: Indices of the readings used.
@@ -176,11 +173,14 @@ def propose_loads(prepared: PreparedLoaded, used: Int1D, cell: Cell, offers: Off
     nothing = LoadedSelection((), (), 0.0, ())
     extended = extend(problem, cell, start, rows, used, (), prepared.frames, nothing)
     extended = dataclasses.replace(extended, base_compliance=start)
-    return choose(LoadedKnowledge(extended, nothing, offers, cell, claimed(1.0), prepared.frames), pulled)
+    return choose(LoadedKnowledge(extended, nothing, offers, cell, claimed(1.0), prepared), pulled)
 
 
 class LoadedKnowledge(Knowledge):
-    """The designs of recording and offers; hypotheses are the indices of their candidates."""
+    """The designs of recording and offers; hypotheses are the indices of their candidates.
+
+    A joint that gave way in no step is taken for as stiff as it is believed to be.
+    """
 
     worth = 0.02
     nothing_offered = "No configuration that the cell file allows could be drawn; nothing is proposed."
@@ -192,7 +192,7 @@ class LoadedKnowledge(Knowledge):
         offers: Offers,
         cell: Cell,
         seen: Scatter,
-        frames: FrameFit | None,
+        prepared: PreparedLoaded,
     ) -> None:
         """Keep what the recording tells.
 
@@ -202,10 +202,11 @@ class LoadedKnowledge(Knowledge):
             offers: What could be measured.
             cell: The cell file.
             seen: The noise.
-            frames: Refitted frames; None for displacement recordings.
+            prepared: Refitted frames, and what was believed of the joints.
         """
-        self.extended, self.expected = extended, offers.expected
-        self.cell, self.seen, self.frames = cell, seen, frames
+        self.extended, self.expected, found = extended, offers.expected, extended.base_compliance
+        self.cell, self.seen, self.frames = cell, seen, prepared.frames
+        self.compliance = np.where(found > 0, found, prepared.nominal.compliance)
         self.accepted = selection.accepted
         self.rivals = {one.candidate: tuple(index for index, _ in one.equivalents) for one in selection.choices}
         self.members = tuple(dict.fromkeys([*self.accepted, *(i for several in self.rivals.values() for i in several)]))
@@ -223,7 +224,7 @@ class LoadedKnowledge(Knowledge):
 
     def table(self, offers: tuple[Offer, ...]) -> OfferTable:
         """Return the whitened columns of some offers, for the accepted candidates and their rivals."""
-        extended, compliance = self.extended, self.extended.base_compliance
+        extended, compliance = self.extended, self.compliance
         readings = self.expected(offers, extended.problem.parameters.replace(compliance=compliance))
         would = build_problem(readings, self.cell, extended.problem.chain, extended.problem.parameters)
         linear = would.linearise(compliance)
@@ -243,8 +244,8 @@ class LoadedKnowledge(Knowledge):
         return [(f"{one.name.replace('_', ' ')} of “{self.name(index)}”", (k,)) for k, one in enumerate(several)]
 
     def otherwise(self) -> list[Uncertain]:
-        """Return the stiffnesses of the joints that give way in this recording."""
-        compliances = zip(self.extended.state.chain.joints, self.extended.base_compliance, strict=True)
+        """Return the stiffnesses of the joints that give way."""
+        compliances = zip(self.extended.state.chain.joints, self.compliance, strict=True)
         return [Uncertain(f"the stiffness of {name}", (j,), c) for j, (name, c) in enumerate(compliances) if c > 0]
 
     def inseparable(self, names: Sequence[str]) -> str:
