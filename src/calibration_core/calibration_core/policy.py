@@ -84,3 +84,15 @@ CREEP = (2.0, 5.0, 10.0)
 # Points of the same step against which a reading must stand wrong to be the one at fault, and times the usual change of
 # a distance between points.  Earns: six of 150 readings at rest that are 2 mm off are set aside, whatever the share.
 OTHERS, UNUSUAL = 2, 6.0
+
+# Standard deviation of the rate of a clock against another, before anything is seen.  Quartz clocks differ by 2e-4,
+# time servers slew one by up to 5e-4.  Earns: an optical tracker whose clock gains 1.1e-3 (AUBO i5, public recording).
+CLOCK_RATE = 1e-3
+
+# Standard deviation of what that rate changes by, per square root of s.  In an hour 6e-5: a quartz that warms up by
+# tens of degrees (2e-6 to 2e-5).  Earns: what an hour of motions has shown does not hide what the next one shows.
+CLOCK_WANDER = 1e-6
+
+# s, standard deviation of the offset, from which a tracker's clock counts as known.  A reading begins when everything
+# has stood for 1.5 s: fifteen of these.  Earns: a long reading after one motion is taken, a guessed clock is none.
+CLOCK_KNOWN = 0.1
