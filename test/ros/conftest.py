@@ -112,13 +112,15 @@ class Suite:
         speed: float = SPEED,
         seed: int = 1,
         simulated_cell: Mapping[str, object] | None = None,
+        tracker: Mapping[str, object] | None = None,
         **sequencer: object,
     ) -> None:
-        """Start everything that a measurement needs, faster than life; two nodes with more parameters."""
+        """Start everything that a measurement needs, faster than life; three nodes with more parameters."""
         more = {"motion_log": self.directory / "motion.log"} | dict(simulated_cell or {})
         self.start("simulated_cell", FAST, speed=speed, seed=seed, **more)
-        for name in ("guard", "tracker", "force_torque"):
+        for name in ("guard", "force_torque"):
             self.start(name, FAST)
+        self.start("tracker", FAST, **(tracker or {}))
         self.start("sequencer", FAST, **sequencer)
         self.start("recorder", FAST, out=self.bag)
 

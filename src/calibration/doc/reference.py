@@ -52,7 +52,7 @@ def declared(name: str) -> tuple[Declared, ...]:
     """Return the parameters of a node of the package `calibration`."""
     own = importlib.import_module(f"calibration.{MODULES[name]}").PARAMETERS
     common = COMMON if name in ("tracker", "force_torque") else ()
-    return (*common, *own)
+    return tuple({one.name: one for one in (*common, *own)}.values())  # a node may state a common one otherwise
 
 
 def bounds(one: Declared) -> str:

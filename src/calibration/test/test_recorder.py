@@ -401,14 +401,18 @@ def test_a_bag_with_configurations_of_two_plans_is_refused(
     text, excluded = "mp2 by A. Smith: hidden", SessionEvent.POINT_EXCLUDED
     events.publish(SessionEvent(plan_sha256="a" * 64))
     events.publish(SessionEvent(plan_sha256="a" * 64, kind=excluded, configuration=3, text=text))
-    until(lambda: node._bag.messages >= 102)
+    for ahead in ("5.5", "5.6"):
+        events.publish(SessionEvent(kind=SessionEvent.TRACKER_CLOCK, text=f"the tracker's clock is {ahead} s ahead"))
+    until(lambda: node._bag.messages >= 104)
     moment = time.monotonic()
     until(lambda: node._written > moment)  # on the disk
     found = read_bag(tmp_path / "bag", CELL)
     assert found.provenance.plan_sha256 == "a" * 64
     assert Note("point_excluded", "configuration 3", text) in found.notes
+    clocks = [note.text for note in found.notes if note.kind == "tracker_clock"]
+    assert clocks == ["the tracker's clock is 5.6 s ahead; its stamps are corrected"]
     events.publish(SessionEvent(plan_sha256="b" * 64))
-    until(lambda: node._bag.messages >= 103)
+    until(lambda: node._bag.messages >= 105)
     moment = time.monotonic()
     until(lambda: node._written > moment)
     with pytest.raises(RecordingError, match=r"found configurations of 2 plans \(SHA-256 a{12}…, b{12}…\)"):

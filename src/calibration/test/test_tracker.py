@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
 from calibration_interfaces.action import Measure
-from calibration_interfaces.msg import Outcome, SampleCheck
+from calibration_interfaces.msg import Outcome, SampleCheck, SessionEvent
 from geometry_msgs.msg import (
     PointStamped,
     PoseStamped,
@@ -22,12 +22,19 @@ from geometry_msgs.msg import (
 )
 from goals import GoalClient
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from stand_ins import IRREGULAR, Feed, finish, measure, overrides
+from sensor_msgs.msg import JointState
+from stand_ins import CELL, IRREGULAR, Feed, finish, measure, overrides
 
 from calibration.conversions import stamp_ns, to_header, transforms
 from calibration.instruments.tracker import TrackerNode
 from calibration.node import ParameterError
+from calibration.topics import EVENT
+from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
+from calibration_core.model.kinematics import posture
+from calibration_core.model.nominal import nominal_parameters
+from calibration_core.model.robot import chain_of
+from calibration_core.timeseries import NANOSECONDS
 
 HERE = np.array([1.25, -2.5, 0.75])
 
@@ -219,6 +226,11 @@ def test_of_two_that_publish_a_point_none_is_read(
         ({"points": ["mp9"]}, "points: found 'mp9'"),
         ({"points": ["mp1", "mp1"]}, "points: found a point twice"),
         ({"topics": ["a"]}, "topics: found 1 topics, expected 3"),
+        (
+            {"stamp": "sender_offset", "driver": "manual"},
+            "stamp: found 'sender_offset', expected that with driver stream",
+        ),
+        ({"stamp": "sender_offset", "points": ["mp1"], "topics": ["tracker/mp1"]}, "topics: found 'tracker/mp1'"),
         ({"units": "km"}, "units: found 'km', expected one of m, mm, inch"),
     ],
 )
@@ -244,3 +256,90 @@ def test_samples_from_before_are_not_averaged_however_late_they_arrive(spinning:
     result = measure(client, "tracker/measure", Measure.Goal(names=["mp1"], since=to_header(since).stamp))
     assert result.outcome.code == Outcome.OK, result.outcome.text
     assert stamp_ns(result.averages[0].begin) >= since
+
+
+class OwnClock:
+    """A robot that moves when it is told to, and a tracker whose clock is ahead and gains; times are ns of the node."""
+
+    OFFSET, RATE, LENGTH = 5_600_000_000, 1.001, 3.0
+
+    def __init__(self, node: Any, client: Any, feeds: list[Feed]) -> None:
+        cell = load_cell(CELL)
+        self._now, self._chain, self._point = node.now_ns, chain_of(cell), nominal_parameters(cell).points["mp1"]
+        self._names, self._start, self._went = list(cell.robot.joints), node.now_ns(), [node.now_ns() + 10**18]
+        self._rng = np.random.default_rng(1)
+        self.shift = 0
+        joints = client.create_publisher(JointState, "joint_states", 100)
+        points = client.create_publisher(PointStamped, "input/mp1", 100)
+        feeds.append(Feed(joints, self._joints, 0.008))
+        feeds.append(Feed(points, self._seen, 0.01))
+
+    def go(self) -> None:
+        self._went.append(self._now())
+
+    def _q(self, now: int) -> np.ndarray:
+        q = np.zeros(6)
+        for number, begin in enumerate(self._went):
+            share = np.clip((now - begin) / NANOSECONDS / self.LENGTH, 0.0, 1.0)
+            q[:2] += (10 * share**3 - 15 * share**4 + 6 * share**5) * np.array([0.3, 0.1]) * (1 if number % 2 else -1)
+        return q
+
+    def _joints(self, _k: int) -> JointState:
+        now = self._now()
+        return JointState(header=to_header(now), name=self._names, position=self._q(now).tolist())
+
+    def _seen(self, _k: int) -> PointStamped:
+        now = self._now()
+        place = posture(self._chain, self._q(now)[None]).point(self._point)[:, 0] + 2e-5 * self._rng.standard_normal(3)
+        return incoming("PointStamped", place, self.sender(now))
+
+    def sender(self, now: int) -> int:
+        return now + self.OFFSET + self.shift + round((self.RATE - 1.0) * (now - self._start))
+
+
+def test_a_clock_of_its_own_is_learnt_from_motion(spinning: Any, feeds: list[Feed], until: Callable[..., None]) -> None:
+    given = overrides(points=["mp1"], stamp="sender_offset", gap=IRREGULAR)
+    node = spinning.add(TrackerNode(context=spinning.context, parameter_overrides=given))
+    client = spinning.plain()
+    heard: list[tuple[int, int]] = []
+    checks: list[SampleCheck] = []
+    told: list[SessionEvent] = []
+    client.create_subscription(SessionEvent, "calibration/event", told.append, EVENT.qos)
+    client.create_subscription(
+        PointStamped, "tracker/mp1", lambda one: heard.append((stamp_ns(one.header.stamp), node.now_ns())), 1000
+    )
+    client.create_subscription(SampleCheck, "/calibration/sample_check", checks.append, 1000)
+    world = OwnClock(node, client, feeds)
+    until(lambda: checks and checks[-1].received > 50)
+    assert checks[-1].text == "fine; the tracker's clock is not known (no motion was seen): move the robot"
+    result = measure(client, "tracker/measure", Measure.Goal(timeout=0.5))
+    assert result.outcome.code == Outcome.TIMED_OUT
+    assert "move the robot (waited 0.5 s)" in result.outcome.text
+    assert heard == []
+    world.go()
+    until(lambda: bool(heard), timeout=15.0)
+    until(lambda: "ahead of the robot's, rate " in checks[-1].text, timeout=5.0)
+    result = measure(client, "tracker/measure", Measure.Goal())
+    assert result.outcome.code == Outcome.OK, result.outcome.text
+    until(lambda: bool(told))
+    assert [(one.kind, one.source) for one in told] == [(SessionEvent.TRACKER_CLOCK, "tracker")]
+    assert told[0].text.startswith("the tracker's clock is 5.6")
+    world.go()
+    until(lambda: not node.joints.moving(), timeout=5.0)
+    count = len(heard)
+    until(lambda: len(heard) > count + 400, timeout=15.0)
+    stamps, received = np.array(heard).T
+    assert np.all(np.diff(stamps) > 0)
+    assert np.abs(received - stamps).max() < NANOSECONDS
+    assert np.median(received - stamps) < 0.02 * NANOSECONDS
+    last = checks[-1]
+    assert (last.out_of_order, last.jumps) == (0, 0)
+    world.shift = 100 * NANOSECONDS  # the tracker was started again
+    until(lambda: "(it was set): move the robot" in checks[-1].text, timeout=5.0)
+    count = len(heard)
+    assert measure(client, "tracker/measure", Measure.Goal(timeout=0.5)).outcome.code == Outcome.TIMED_OUT
+    assert len(heard) - count < 20
+    world.go()
+    until(lambda: "the tracker's clock is 105.6" in checks[-1].text, timeout=15.0)
+    assert measure(client, "tracker/measure", Measure.Goal()).outcome.code == Outcome.OK
+    assert checks[-1].out_of_order == 0

@@ -32,12 +32,13 @@ REPORT = 10  # looks between two reports of a stream whose health has not change
 POLL = 0.005  # s of wall time between looks at an average
 GIVEN_UP = 1.0  # s of wall time, averages under way have to end
 CLOCK_STANDS = 10.0  # s of wall time without progress of the node's clock
+SENDER, RECEIVE = "sender", "receive"
 
 COMMON = (
     Declared("cell", "", "The cell file.", required=True),
     Declared("frame", "", "frame_id that samples must carry; empty: any."),
     Declared("output_frame", "", "frame_id of what is published; empty: as it came."),
-    Declared("stamp", "source", "Time of a sample.", choices=("source", "receive")),
+    Declared("stamp", SENDER, "Time of a sample.", choices=(SENDER, RECEIVE)),
     Declared("gap", 1.5, "Intervals from which samples count as missing.", low=1.01),
     Declared("frozen", 20, "Identical samples in a row from which the stream counts as frozen; 0: never.", low=0),
     Declared("silent_after", 0.5, "Wall time without a sample after which the stream counts as silent, s.", low=0.01),
@@ -147,7 +148,7 @@ class AcquisitionNode(CalibrationNode):
 
     def stamped(self, sample: Sample) -> Sample:
         """Return a sample with the time and frame that it is published with."""
-        usable = sample.stamp != 0 and self.value("stamp") == "source"
+        usable = sample.stamp != 0 and self.value("stamp") != RECEIVE
         return dataclasses.replace(sample, stamp=sample.stamp if usable else self.now_ns())
 
     def labelled(self, sample: Sample) -> Sample:

@@ -88,6 +88,7 @@ class Stream:
         topic: Where the samples come from.
         check: The checks and their counts.
         frame: Frame of the last sample that passed.
+        remark: What is to be said of it besides.
         alone: Topics that only one node may publish: of two, nobody knows which one speaks of the instrument.
         outside: What is wrong with those who publish, whatever they send, and words about it.
     """
@@ -105,7 +106,7 @@ class Stream:
         self.name, self.topic, self.alone = name, topic, alone
         self.outside = (Problem.FINE, "")
         self.check = StreamCheck(limits)
-        self.frame = ""
+        self.frame = self.remark = ""
         self._silent_after = silent_after
         self._arrived = -math.inf
         self._problem, self._problem_at = Problem.FINE, -math.inf
@@ -113,12 +114,13 @@ class Stream:
         self._lock = threading.Lock()
         self._latest: Sample | None = None
 
-    def take(self, sample: Sample, stamp: int) -> bool:
+    def take(self, sample: Sample, stamp: int, *, timed: bool = True) -> bool:
         """Check a sample and hand it to the averages under way; say whether it may be used.
 
         Args:
             sample: The sample, in SI units.
             stamp: Its time, ns.
+            timed: Whether that is when it was taken; otherwise no average gets it.
         """
         self._arrived = time.monotonic()
         problem = self.check.add(stamp, sample.values, sample.frame, sample.rotation)
@@ -128,11 +130,23 @@ class Stream:
             for one in self._averagings:
                 if problem is not Problem.FINE or self.check.break_before:
                     one.break_off()
-                if problem is Problem.FINE:
+                if problem is Problem.FINE and timed:
                     one.add(stamp, sample.values)
         if problem is Problem.FINE:
             self.frame = sample.frame
         return problem is Problem.FINE
+
+    def restart(self) -> None:
+        """Begin anew with the next sample: stamps count otherwise from there on, and no average reaches across."""
+        with self._lock:
+            for one in self._averagings:
+                one.break_off()
+        self.check.restart()
+
+    @property
+    def averaged(self) -> bool:
+        """Whether an average is under way."""
+        return bool(self._averagings)
 
     def start(self, window: float, tolerance: Float1D, min_samples: int, since: int = 0) -> Averaging:
         """Begin an average of the samples that arrive from now on, those stamped before `since`, ns, left out."""
@@ -192,5 +206,5 @@ class Stream:
             missing=counts.missing,
             interval=self.check.interval,
             age=self.age(),
-            text=self.outside[1] or problem.name.lower().replace("_", " "),
+            text="; ".join(filter(None, [self.outside[1] or problem.name.lower().replace("_", " "), self.remark])),
         )

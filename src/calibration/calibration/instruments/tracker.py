@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from calibration_interfaces.msg import Outcome
+from calibration_interfaces.msg import Outcome, SessionEvent
 from calibration_interfaces.srv import PointRequest
 
 from calibration.conversions import (
@@ -23,23 +23,28 @@ from calibration.conversions import (
     TF_TYPE,
     Mean,
     Sample,
+    to_header,
     to_outcome,
     to_point_stamped,
     transforms,
 )
-from calibration.instruments.acquisition import AcquisitionNode, MeasuringError, Request
+from calibration.instruments.acquisition import RECEIVE, SENDER, AcquisitionNode, MeasuringError, Request
 from calibration.instruments.drivers import Driver
 from calibration.instruments.drivers.line import Line, load_template
 from calibration.instruments.drivers.written import Table, Typed
 from calibration.instruments.one_beam import IDLE, OneBeam
 from calibration.instruments.stream import Stream
 from calibration.node import Declared, ParameterError, run
-from calibration.topics import TYPED, Topic, contract_topics
+from calibration.topics import EVENT, TYPED, Topic, contract_topics
 from calibration_core.measurement.aim import Aim
-from calibration_core.timeseries import Float1D
+from calibration_core.measurement.sender_clock import ClockFromMotion
+from calibration_core.recording.definitions.own import TRACKER_CLOCK
+from calibration_core.timeseries import NANOSECONDS, Float1D
 
 TF, STREAM, LINE, FILE, MANUAL = "tf", "stream", "line", "file", "manual"
 TF_TOPIC = "/tf"
+SENDER_OFFSET = "sender_offset"
+BEFORE, LONGEST = 1.0, 50.0  # s before a motion that belong to it, and after which it is looked at while it lasts
 FASTEST = 6.0  # m/s, beyond which a sample is a jump: more than any robot's flange moves
 
 PARAMETERS = (
@@ -47,6 +52,12 @@ PARAMETERS = (
     Declared("address", "127.0.0.1:7000", "Host and port of the tracker's program, for line."),
     Declared("template", "plain", "How it speaks, for line: one of config/trackers, or a file."),
     Declared("table", "tracker.csv", "File to which the tracker's program appends, for file."),
+    Declared(
+        "stamp",
+        SENDER,
+        "Time of a sample; sender_offset: the sender's, corrected to the robot's clock, for stream.",
+        choices=(SENDER, RECEIVE, SENDER_OFFSET),
+    ),
     Declared("points", [], "Measurement points; empty: all of the cell."),
     Declared("topics", [], "Topic of each point, of `/tf` the child frame; empty: input/POINT."),
     Declared("input_type", "PointStamped", "What the tracker sends.", choices=(*POINT_INPUTS, TF)),
@@ -76,10 +87,20 @@ class TrackerNode(AcquisitionNode):
         outputs = {name: contract[self.cell.topics.point(name)] for name in names}
         self._alone: dict[str, tuple[str, ...]] = {name: (output.relative,) for name, output in outputs.items()}
         self.beam: OneBeam | None = None
+        self._own_clock = ClockFromMotion(self.cell) if self.value("stamp") == SENDER_OFFSET else None
+        self._begun = 0  # stamp of the joint states, ns, at which the present motion was seen first; 0: none
+        self._published, self._floor = dict[str, int](), dict[str, int]()  # stamps, ns: the last, and before a change
+        self._timed = self._unstamped = False
+        self._clock_reported = True  # there is nothing to report
         self.create_service(PointRequest, "~/point", self._on_point)
         if self.value("driver") != STREAM:
+            if self._own_clock is not None:
+                raise ParameterError(self.get_name(), "stamp", repr(SENDER_OFFSET), f"that with driver {STREAM} alone")
             self._aim_at(outputs)
             return
+        if self._own_clock is not None:
+            self.listen_to_joints()
+            self._events = self.create_publisher(EVENT.message, EVENT.relative, EVENT.qos)
         if self.value("input_type") == TF:
             self._listen_to_transforms(names, topics)
         else:
@@ -119,11 +140,71 @@ class TrackerNode(AcquisitionNode):
     def _publish_on(self, name: str, output: Topic) -> None:
         if self.resolve_topic_name(self.streams[name].topic) != self.resolve_topic_name(output.relative):
             self._outputs[name] = self.create_publisher(output.message, output.relative, output.qos)
+        elif self._own_clock is not None:
+            expected = f"another, for what is corrected is published on {output.relative}"
+            raise ParameterError(self.get_name(), "topics", repr(output.relative), expected)
 
     def _take(self, stream: Stream, sample: Sample) -> None:
-        sample = self.stamped(sample)
-        if stream.take(sample, sample.stamp) and stream.name in self._outputs:
+        own, now, timed = sample.stamp, self.now_ns(), True
+        sample, self._unstamped = self.stamped(sample), not own
+        clock = self._own_clock if own else None
+        if clock is not None:
+            stamp = clock.by_robot(own, now)
+            timed = stamp is not None
+            if timed != self._timed:
+                self._time_anew(timed=timed)
+            if stamp is not None and stamp <= self._floor.get(stream.name, 0):
+                return  # before the clock was corrected otherwise, samples of that time were published
+            sample = dataclasses.replace(sample, stamp=own if stamp is None else stamp)
+        if not stream.take(sample, sample.stamp, timed=timed):
+            return
+        if clock is not None:
+            clock.add(stream.name, own, now, sample.values)
+        if timed and stream.name in self._outputs:
+            self._published[stream.name] = sample.stamp
             self._outputs[stream.name].publish(to_point_stamped(self.labelled(sample)))
+
+    # --- the tracker's own clock --------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        if self._own_clock is not None:
+            self._learn(self._own_clock)
+            text, missing = self._own_clock.figures(self.now_ns()), self._clock_missing()
+            self.diagnostics.report("clock", 1 if missing else 0, missing or "known", {"figures": text})
+            for stream in self.streams.values():
+                stream.remark = missing or text
+        super()._look()
+
+    def _learn(self, clock: ClockFromMotion) -> None:
+        """Look whether a motion has ended that shows the clock; nothing changes while an average is taken."""
+        joints = self.joints
+        moving = joints.moving()
+        if moving and not self._begun:
+            self._begun = joints.until
+        lasts = moving and joints.until - self._begun < LONGEST * NANOSECONDS
+        if not self._begun or lasts or any(stream.averaged for stream in self.streams.values()):
+            return
+        begun, self._begun = self._begun - round(BEFORE * NANOSECONDS), 0
+        if clock.learn(*joints.between(begun, joints.until)):
+            self._time_anew(timed=True)
+            self._clock_reported = False
+
+    def _report_clock(self) -> None:
+        """Have session and bag know how far the clock is off, with the first reading after it was learnt anew."""
+        if self._own_clock is None or self._clock_reported:
+            return
+        self._clock_reported, now = True, self.now_ns()
+        text = self._own_clock.figures(now)
+        self._events.publish(SessionEvent(header=to_header(now), kind=TRACKER_CLOCK, source=self.get_name(), text=text))
+
+    def _time_anew(self, *, timed: bool) -> None:
+        """Have what comes from now on follow what was published: stamps are corrected otherwise, or not at all."""
+        self._timed, self._floor = timed, dict(self._published)
+        for stream in self.streams.values():
+            stream.restart()
+
+    def _clock_missing(self) -> str:
+        return "" if self._own_clock is None or self._unstamped else self._own_clock.missing(self.now_ns())
 
     # --- one beam ---------------------------------------------------------------------------------------------
 
@@ -187,7 +268,13 @@ class TrackerNode(AcquisitionNode):
         """Measure one point after the other where the beam has to be aimed."""
         beam = self.beam
         if beam is None:
-            return super().measured(request, cancelled, report)
+            wait = self.turn(request, cancelled, self._clock_missing)
+            while missing := self._clock_missing():
+                report(0.0, missing)
+                wait()
+            means = super().measured(request, cancelled, report)
+            self._report_clock()
+            return means
 
         def report_progress(share: float, text: str) -> None:
             report(share, text)

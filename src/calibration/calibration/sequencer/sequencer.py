@@ -66,6 +66,7 @@ from calibration_core.motion.speed import Monitored
 from calibration_core.outcomes.spaces import planned_space
 from calibration_core.planning.plans.plan import Plan
 from calibration_core.planning.plans.plan_file import read_plan
+from calibration_core.recording.definitions.own import TRACKER_CLOCK
 from calibration_core.recording.session_values import Decision, Event
 from calibration_core.report.results.scene import scene_of, space_dict
 from calibration_core.timeseries import NANOSECONDS, Float1D
@@ -237,10 +238,11 @@ class SequencerNode(CalibrationNode):
         runner.post(Call(lambda: port.keep(lambda: port.session.decide(decision))))
 
     def _on_event(self, message: SessionEvent) -> None:
-        """Write down, in the session under way, what an operator asked for at a panel."""
+        """Write down, in the session under way, what an operator asked for at a panel, and the tracker's clock."""
         runner, port = self.runner, self.port
-        if message.kind == SessionEvent.OPERATOR_ACTION and runner is not None and port is not None:
-            event = Event(self.now_ns(), "operator_action", f"{message.source}: {message.text}")
+        kind = {SessionEvent.OPERATOR_ACTION: "operator_action", TRACKER_CLOCK: "tracker_clock"}.get(message.kind)
+        if kind is not None and runner is not None and port is not None:
+            event = Event(self.now_ns(), kind, f"{message.source}: {message.text}")
             runner.post(Call(lambda: port.keep(lambda: port.session.note(event))))
 
     def _on_timer(self) -> None:

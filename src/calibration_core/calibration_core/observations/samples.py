@@ -138,6 +138,11 @@ class StreamCheck:
             self.counts.rejected[self.problem] = self.counts.rejected.get(self.problem, 0) + 1
         return self.problem
 
+    def restart(self) -> None:
+        """Begin anew with the next sample: stamps count otherwise from there on."""
+        self._time = self._last = None
+        self._behind.clear()
+
     def _judge(self, time: int, values: Float1D, frame: str, rotation: Float1D | None) -> Problem:
         if self._time is not None and time <= self._time and not self._clock_went_back(time, self._time):
             return Problem.OUT_OF_ORDER
@@ -166,7 +171,7 @@ class StreamCheck:
         self._behind = [*(self._behind if in_order else ()), time] if far else []
         if len(self._behind) < BACK_SAMPLES:
             return False
-        self._time = self._last = None
+        self.restart()
         return True
 
     def _is_frozen(self, values: Float1D, rotation: Float1D | None) -> bool:

@@ -30,6 +30,7 @@ from calibration_core.recording.session_values import (
     as_readings,
     checked_reading,
     point_excluded,
+    tracker_clock,
 )
 from calibration_core.recording.source import SESSION_DATABASE, sha256_of
 from calibration_core.timeseries import Condition, Note, Override, Readings
@@ -46,6 +47,7 @@ COPIES = 5  # tries to copy a database that is being written to
 SHA256 = re.compile(r"[0-9a-f]{64}")
 NEEDED = ("session", "attempt", "reading")
 VERDICTS = (None, True, False)
+CLOCK = "tracker_clock"  # likewise: "NODE: FIGURES"
 EXCLUDED = "point_excluded"  # kind of an event; its text: CONFIGURATION.STEP POINT by NAME: REASON
 
 
@@ -67,7 +69,7 @@ def read_session(path: Path, cell: Cell) -> tuple[Readings, tuple[tuple[Conditio
                 attempts = _attempts(file, database)
                 rows = _rows(file, database, cell, attempts)
                 conditions = _conditions(file, database) if "condition" in tables else ()
-                excluded = _excluded(file, database) if "event" in tables else []
+                excluded = _reported(file, database) if "event" in tables else []
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
             raise RecordingError(file, "", f"an unusable database ({error})", "a session's database") from None
         digests = {one.name: sha256_of(one) for one in sorted(copy.parent.iterdir()) if not one.name.endswith("-shm")}
@@ -228,10 +230,11 @@ def _chosen(
     return sorted(chosen, key=lambda one: (one.time, one.configuration, one.step, order[one.point])), notes
 
 
-def _excluded(file: Path, database: sqlite3.Connection) -> list[Note]:
-    """Return which points an operator has left out of which configuration, by whom and why."""
-    events = (str(text) for kind, text in _limited(file, database, "event", "kind, text") if kind == EXCLUDED)
-    return [point_excluded(place.partition(".")[0], text) for place, _, text in (one.partition(" ") for one in events)]
+def _reported(file: Path, database: sqlite3.Connection) -> list[Note]:
+    """Return which points an operator has left out of which configuration, and what was last known of the clock."""
+    events = [(kind, *str(text).partition(" ")[::2]) for kind, text in _limited(file, database, "event", "kind, text")]
+    clocks = [tracker_clock(text) for kind, _, text in events if kind == CLOCK]
+    return [point_excluded(p.partition(".")[0], text) for kind, p, text in events if kind == EXCLUDED] + clocks[-1:]
 
 
 def _conditions(file: Path, database: sqlite3.Connection) -> tuple[tuple[Condition, ...], ...]:

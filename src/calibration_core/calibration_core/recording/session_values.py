@@ -157,6 +157,11 @@ def point_excluded(configuration: object, text: object) -> Note:
     return Note("point_excluded", f"configuration {str(configuration)[:20]}", str(text)[:300])
 
 
+def tracker_clock(text: object) -> Note:
+    """Return what is said of a tracker's clock; anybody may have written it."""
+    return Note("tracker_clock", "tracker", f"{str(text)[:300]}; its stamps are corrected")
+
+
 def as_readings(
     confirmed: Sequence[ConfirmedReading],
     points: tuple[str, ...],

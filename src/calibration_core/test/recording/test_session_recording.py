@@ -121,6 +121,8 @@ def test_points_that_an_operator_left_out_are_told_and_cost_their_readings_alone
             session.end_attempt(attempt, completed=True)
         session.note(Event(0, "point_excluded", "3.0 mp2 by A. Smith: the cable hides it"))
         session.note(Event(0, "point_excluded", "5.1 mp1 by A. Smith: knocked"))
+        session.note(Event(0, "tracker_clock", "tracker: the tracker's clock is 5.5 s ahead"))
+        session.note(Event(0, "tracker_clock", "tracker: the tracker's clock is 5.6 s ahead"))
         session.note(Event(0, "started", "0.0 "))
     results = []
     for recording in (whole, tmp_path / "today"):
@@ -132,7 +134,11 @@ def test_points_that_an_operator_left_out_are_told_and_cost_their_readings_alone
         ("configuration 3", "mp2 by A. Smith: the cable hides it"),
         ("configuration 5", "mp1 by A. Smith: knocked"),
     ]
-    assert "mp2 by A. Smith: the cable hides it" in (out / "report.html").read_text(encoding="utf-8")
+    (clock,) = [one["text"] for one in results[1]["notes"] if one["kind"] == "tracker_clock"]
+    assert clock == "the tracker's clock is 5.6 s ahead; its stamps are corrected"
+    report = (out / "report.html").read_text(encoding="utf-8")
+    assert "mp2 by A. Smith: the cable hides it" in report
+    assert "clock is 5.6 s ahead; its stamps are corrected" in report
     assert results[1]["recording"]["configurations"] == results[0]["recording"]["configurations"] == 14
     for one, other in zip(*(result["stiffness"] for result in results), strict=True):
         assert abs(one["value"] - other["value"]) < 2.0 * other["std"], one["joint"]

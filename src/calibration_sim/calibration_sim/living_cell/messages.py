@@ -29,6 +29,8 @@ PARAMETERS: dict[str, tuple[Any, str]] = {
     "rates.tracker": (10.0, "Hz of the cell's time, every point."),
     "tracker": ("stream", "stream (every point at once) or line (one beam, aimed as config/trackers/plain.yaml says)."),
     "tracker_address": ("127.0.0.1:7000", "Where the one beam is asked, for line."),
+    "tracker_clock_offset": (0.0, "s, that the stamps of the points are ahead at the beginning."),
+    "tracker_clock_rate": (1.0, "s of those stamps in one of the cell's."),
     "rates.wrench": (50.0, "Hz of the cell's time."),
     "rates.temperature": (0.5, "Hz of the cell's time."),
     "rates.state": (50.0, "Hz of the cell's time, of the robot state; it is sent at changes, too."),

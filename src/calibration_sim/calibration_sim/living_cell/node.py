@@ -205,9 +205,9 @@ class SimulatedCell(Node):
             self._woken = now
             self.executor.wake()
 
-    def stamp(self) -> Time:
-        """Return the time that the cell's messages carry."""
-        now = self._epoch + round((self.live.time + self.faults.value(Kind.CLOCK_JUMP, 0.0)) * NANOSECONDS)
+    def stamp(self, ahead: float = 0.0) -> Time:
+        """Return the time that the cell's messages carry, by a clock that is so many s ahead."""
+        now = self._epoch + round((self.live.time + self.faults.value(Kind.CLOCK_JUMP, 0.0) + ahead) * NANOSECONDS)
         return Time(sec=now // NANOSECONDS, nanosec=now % NANOSECONDS)
 
     def _header(self, frame: str = "") -> Header:
@@ -227,6 +227,8 @@ class SimulatedCell(Node):
 
     def _send_points(self) -> None:
         places, on = self._shown_places(), self.faults.on
+        offset, rate = float(self._value("tracker_clock_offset")), float(self._value("tracker_clock_rate"))
+        header = Header(stamp=self.stamp(offset + (rate - 1.0) * self.live.time), frame_id="tracker")
         if self._truth_log is not None:
             self._truth_log.add(self.live)
         for index, (name, publisher) in enumerate(self._points.items()):
@@ -244,7 +246,7 @@ class SimulatedCell(Node):
                 shown = self._seen.get(name, shown)
             self._seen[name] = shown
             x, y, z = shown.tolist()
-            publisher.publish(PointStamped(header=self._header("tracker"), point=Point(x=x, y=y, z=z)))
+            publisher.publish(PointStamped(header=header, point=Point(x=x, y=y, z=z)))
 
     def _shown_places(self) -> Float2D:
         """Return what the tracker takes for the places of the points, (p, 3) m, without its noise."""

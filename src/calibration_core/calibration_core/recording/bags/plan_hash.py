@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from calibration_core.errors import RecordingError, quoted
-from calibration_core.recording.definitions.own import POINT_EXCLUDED
+from calibration_core.recording.definitions.own import POINT_EXCLUDED, TRACKER_CLOCK
 from calibration_core.recording.messages.typed import FAULTS, deserializer
-from calibration_core.recording.session_values import point_excluded
+from calibration_core.recording.session_values import point_excluded, tracker_clock
 from calibration_core.recording.storage.batch import Batch
 from calibration_core.timeseries import Note
 
@@ -34,7 +34,7 @@ def plan_of_metadata(file: Path, custom: object) -> str:
 
 
 def plans_of_events(file: str, batch: Batch, notes: list[Note]) -> set[str]:
-    """Return the hashes that the events of a batch carry; excluded points, and what cannot be read, become notes."""
+    """Return the hashes that the events of a batch carry; what they say of the data, or cannot say, becomes notes."""
     found: set[str] = set()
     try:
         read = deserializer(file, batch.channel)
@@ -52,6 +52,9 @@ def plans_of_events(file: str, batch: Batch, notes: list[Note]) -> set[str]:
             found.add(value)
         if getattr(event, "kind", None) == POINT_EXCLUDED:
             notes.append(point_excluded(event.configuration, event.text))
+        if getattr(event, "kind", None) == TRACKER_CLOCK:  # the last one is the surest
+            clock = tracker_clock(event.text)
+            notes[:] = [*(note for note in notes if note.kind != clock.kind), clock]
     return found
 
 

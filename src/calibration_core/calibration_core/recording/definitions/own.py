@@ -12,6 +12,7 @@ CONDITIONS_TYPE = "calibration_interfaces/msg/Conditions"
 EVENT_TYPE = "calibration_interfaces/msg/SessionEvent"
 EVENT_TOPIC = "/calibration/event"
 POINT_EXCLUDED = 27  # `kind` of the event that an operator has left a point out of a configuration
+TRACKER_CLOCK = 28  # `kind` of the event that tells how far a tracker's clock is off, and corrected
 TEXT_TYPE = "std_msgs/msg/String"
 
 STEP_DEFINITION = "\n".join(
