@@ -169,8 +169,9 @@ class Cell:
         by: str,
         speed: float = 4.0,
         more: dict[str, dict[str, object]] | None = None,
+        tracker: str = "stream",
     ) -> None:
-        said = {"cell": CELL, "session": root / "session", "speed": speed, "port": 0, "tracker": "stream"}
+        said = {"cell": CELL, "session": root / "session", "speed": speed, "port": 0, "tracker": tracker}
         self.root = root
         unloaded(root)
         environment = {**environment, "ROS_HOME": str(root)}

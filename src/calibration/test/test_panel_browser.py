@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
-from panel_cell import LONG, Cell, browser, browser_path, press_begin, short_plan, wait
+from panel_cell import LONG, Cell, begin, browser, browser_path, press_begin, short_plan, wait
 
 from calibration_core.measurement.session import Session
 
@@ -93,3 +93,32 @@ def test_from_the_checklist_to_the_report(cell: Cell, size: str, tmp_path: Path)
         assert len(session.completed) == CONFIGURATIONS
         told = [event.text for event in session.events if event.kind == "operator_action"]
     assert sum("load_applied" in text and "by Ann from 127.0.0.1" in text for text in told) == clicks
+
+
+@pytest.mark.slow
+def test_a_point_is_left_out_at_the_page(spinning: Any, source_environment: dict[str, str], tmp_path: Path) -> None:
+    """One beam aims at one point after the other; the page says at which, and leaves one out for a reason."""
+    short_plan(tmp_path, 1, (0.0, 1.0))
+    cell = Cell(source_environment, spinning.plain("hands"), tmp_path, by="device", speed=1.0, tracker="line")
+    cell.runner.start()
+    try:
+        with browser() as one:
+            page = cell.page(one)
+            page.click("#control")
+            begin(page)
+            wait(page, lambda: "mp2" in page.inner_text("#aimed"))
+            page.click("#point_exclude")
+            page.fill("#sure_reason", "its nest is dirty")
+            page.click("#sure_yes")
+            wait(page, lambda: "left out here: mp" in page.inner_text("#aimed"))
+            look(page, tmp_path, "excluded")
+            wait(page, lambda: "over" in page.inner_text("#now"))
+            page.wait_for_selector("#after:visible")
+            look(page, tmp_path, "after")
+            assert page.errors == []
+    finally:
+        cell.runner.shutdown()
+    with Session.look(cell.root / "session") as session:
+        (excluded,) = {event.text for event in session.events if event.kind == "point_excluded"}
+    assert "by Ann" in excluded
+    assert "its nest is dirty" in excluded

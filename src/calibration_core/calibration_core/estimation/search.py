@@ -108,12 +108,16 @@ class Search(Comparisons):
         return all(a.sum() < b.sum() - least for a, b in pairs)
 
     def _grown(self, accepted: Accepted, *, narrow: bool) -> Accepted:
-        accepted = self.grow(accepted, narrow=narrow)
+        """Return hypotheses with what passes beside them; where that goes round in circles, the most probable of it."""
+        accepted, seen = self.grow(accepted, narrow=narrow), list[Accepted]()
         for _ in range(ROUNDS):
             refined = self.possible(self.refine(accepted, narrow=narrow))
             if refined == accepted:
                 break
             accepted = self.grow(refined, narrow=narrow)
+            seen.append(accepted)
+        else:
+            accepted = max(seen, key=lambda one: self.sizes(one).value)
         return self.possible(self._needed(accepted))
 
     def _needed(self, accepted: Accepted) -> Accepted:
