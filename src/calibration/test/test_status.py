@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
+from calibration_interfaces.action import Measure
 from calibration_interfaces.msg import (
     Condition,
     ConditionOverride,
@@ -41,7 +42,7 @@ from calibration_core.planning.plans.plan import Plan, PlannedConfiguration
 
 PULL = np.array([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
 NAMES = ("guard", "sequencer")
-NOTHING_READ = SimpleNamespace(averaged=math.nan, under_way=("", ()), excluded={})
+NOTHING_READ = SimpleNamespace(averaged=math.nan, under_way=Measure.Feedback(), excluded={})
 
 
 @dataclasses.dataclass

@@ -41,7 +41,7 @@ class Instruments:
         if force_torque:
             self.servers["force_torque"] = Server(node, Measure, force_torque)
         self._shares: dict[str, float] = {}  # of their windows, while an average is being taken
-        self.under_way: tuple[str, tuple[str, ...]] = ("", ())  # the point that a beam is aimed at, and those after it
+        self.under_way = Measure.Feedback()  # the tracker's last one while it measures
 
     @property
     def averaged(self) -> float:
@@ -71,7 +71,7 @@ class Instruments:
                     results[instrument] = (None if answer is None else answer.result, text)
                     shares[instrument] = 1.0
                     if instrument == "tracker":
-                        self.under_way = ("", ())
+                        self.under_way = Measure.Feedback()
                     complete = len(results) == len(self.servers)
                 if complete:
                     shares.clear()
@@ -85,7 +85,7 @@ class Instruments:
                     if instrument not in results:
                         shares[instrument] = float(message.feedback.share_done)
                         if instrument == "tracker":
-                            self.under_way = (str(message.feedback.point), tuple(message.feedback.left))
+                            self.under_way = message.feedback
 
             return take
 

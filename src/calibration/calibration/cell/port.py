@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from calibration_interfaces.action import ApplyLoad
+from calibration_interfaces.action import ApplyLoad, Measure
 from calibration_interfaces.msg import Outcome, SessionEvent
 
 from calibration.cell.clients import Measured
@@ -211,8 +211,8 @@ class CellPort:
         return self._node.instruments.averaged
 
     @property
-    def under_way(self) -> tuple[str, tuple[str, ...]]:
-        """The point that a beam is aimed at, and those that come after it; empty where there is none."""
+    def under_way(self) -> Measure.Feedback:
+        """The point that a beam is aimed at, those that come after it, and those left out; empty where none is."""
         return self._node.instruments.under_way
 
     def measure(self, configuration: int, answered: Callable[[Measured], None]) -> None:

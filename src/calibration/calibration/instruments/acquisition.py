@@ -307,7 +307,9 @@ class AcquisitionNode(CalibrationNode):
             nonlocal last
             if text != last[1] or time.monotonic() - last[0] >= 0.1:
                 last, (point, left) = (time.monotonic(), text), self.under_way()
-                goal.publish_feedback(Measure.Feedback(share_done=float(share), text=text, point=point, left=left))
+                known = Measure.Feedback(text=text, point=point, left=left, excluded=list(excluded))
+                known.share_done = float(share)
+                goal.publish_feedback(known)
 
         asked, excluded = goal.request, dict[str, str]()
         try:

@@ -155,9 +155,11 @@ class ProcedureReport:
         size = float(np.linalg.norm(target[:3]))
         new.direction = target[:3] / size if size > 0.0 else np.zeros(3)
         if reading:
-            new.averaged, (new.point, left) = port.averaged, port.under_way
-            new.points_left = list(left)
-        new.points_excluded = list(port.excluded)
+            aimed = port.under_way
+            new.averaged, new.point, new.points_left = port.averaged, aimed.point, aimed.left
+            new.points_excluded = list(dict.fromkeys([*port.excluded, *aimed.excluded]))
+        else:
+            new.points_excluded = list(port.excluded)
         load = present(target)
         new.band_force, new.band_angle = load.band_force, load.band_angle
         new.load_felt_known, new.load_fault = load.felt is not None, load.fault if now.load_awaited else ""

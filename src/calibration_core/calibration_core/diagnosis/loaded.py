@@ -106,10 +106,9 @@ def diagnose_loaded(
     """Say what the model of a loaded recording leaves out; arguments as `diagnose`, errors as `prepare_loaded`."""
     options = options or Options()
     basis = None if identified is None else identified.basis
-    if isinstance(basis, PreparedLoaded):
-        prepared, identification = basis, identified
-    elif isinstance(basis, BothFits) and basis.loaded is not None:
-        prepared, identification = basis.loaded, identified
+    loaded = basis.loaded if isinstance(basis, BothFits) else basis
+    if identified is not None and isinstance(loaded, PreparedLoaded):
+        prepared, identification = loaded, identified
     else:
         prepared = prepare_loaded(readings, cell, options)
         identification = identify_prepared(prepared, cell, options, test)
