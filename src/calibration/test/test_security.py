@@ -59,6 +59,7 @@ REAL: dict[tuple[str, str], set[str]] = {
     ("sequencer", "call"): {"joint_trajectory_controller/follow_joint_trajectory"},
     ("sequencer", "publish"): {"joint_trajectory_controller/joint_trajectory"},
     ("tracker", "subscribe"): {"/tf", "joint_states", "tracker/typed"},  # input_type: tf; a driver that aims
+    ("tracker", "publish"): {"calibration/event"},  # stamp: sender_offset
     ("panel", "call"): {"sequencer/run", "identification/identify"},  # while what was asked for there is under way
     ("identification", "subscribe"): {"clock"},  # use_sim_time, which its launch files leave alone
     ("compensation", "subscribe"): {"clock"},  # likewise

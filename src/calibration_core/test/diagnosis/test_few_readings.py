@@ -107,13 +107,12 @@ def off_axis(cell: Cell, seed: int) -> Readings:
     return planted(cell, seed, "off_axis_compliance", "before", [5e-7, 3e-7, 0.0], 15, joint="joint_2")
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("recorded", [loaded_readings, crowded, off_axis])
 def test_a_configuration_that_ended_before_its_load_changes_nothing(
-    recorded: Callable[[Cell, int], Readings], seed: int, loaded: Cell
+    recorded: Callable[[Cell, int], Readings], loaded: Cell
 ) -> None:
     """One unloaded posture more is no other recording: what it says is what is said without it."""
-    readings = recorded(loaded, seed)
+    readings = recorded(loaded, 2)
     last = readings.configuration == readings.configuration.max()
     without, ended = (readings.select(np.flatnonzero(~last | some)) for some in (False, readings.step == 0))
     before, after = diagnose(without, loaded), diagnose(ended, loaded)
