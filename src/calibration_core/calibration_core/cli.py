@@ -242,6 +242,11 @@ def _cells(parser: argparse.ArgumentParser, each: str) -> None:
     )
 
 
+def _of_one_set_up(parser: argparse.ArgumentParser) -> None:
+    text = "the recordings are of one set-up: neither tracker, targets nor sensor were moved between them"
+    group(parser, INPUT).add_argument("--same-setup", action="store_true", help=text)
+
+
 def _given(parser: argparse.ArgumentParser) -> None:
     group(parser, INPUT).add_argument(
         "--model",
@@ -263,6 +268,7 @@ def _model(parser: argparse.ArgumentParser) -> None:
 
 def _identify(parser: argparse.ArgumentParser) -> None:
     _recordings(parser)
+    _of_one_set_up(parser)
     _given(parser)
     _test(parser)
     parser.add_argument(
@@ -295,6 +301,7 @@ def _identify(parser: argparse.ArgumentParser) -> None:
 
 def _diagnose(parser: argparse.ArgumentParser) -> None:
     _recordings(parser)
+    _of_one_set_up(parser)
     _given(parser)
     group(parser, INPUT).add_argument(
         "--simulation",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -237,4 +238,67 @@ def test_as_many_cell_files_as_recordings_or_one(
     error = capsys.readouterr().err.strip()
     assert text in error
     assert "\n" not in error
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture(scope="module")
+def whole(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output of `identify` on the whole table."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    assert run("identify", simulated / "measurements.csv", "--cell", CELL, "--no-report", "--out", out) == 0
+    return out
+
+
+def halves(table: Path, folder: Path, first: Callable[[int], bool], renumber: int = 0) -> tuple[Path, Path]:
+    """Write a table as two files: configurations of which `first` is true, and the others with other numbers."""
+    lines = table.read_text().splitlines()
+    head = next(k for k, line in enumerate(lines) if line.startswith("configuration,"))
+    place = lines[head].split(",").index("configuration")
+    rows = [line.split(",") for line in lines[head + 1 :]]
+    found = []
+    for name, which in (("a", True), ("b", False)):
+        mine = [row for row in rows if first(int(row[place])) == which]
+        if not which:
+            mine = [[str(int(x) - renumber) if k == place else x for k, x in enumerate(row)] for row in mine]
+        path = folder / f"{name}.csv"
+        path.write_text("\n".join([*lines[: head + 1], *(",".join(row) for row in mine)]) + "\n")
+        found.append(path)
+    return found[0], found[1]
+
+
+@pytest.mark.parametrize("split", ["halves", "every other one", "numbered alike"])
+def test_files_of_one_set_up_are_one_file(split: str, simulated: Path, whole: Path, tmp_path: Path) -> None:
+    first = (lambda n: n % 2 == 1) if split == "every other one" else (lambda n: n <= 9)
+    parts = halves(simulated / "measurements.csv", tmp_path, first, 9 if split == "numbered alike" else 0)
+    arguments = (*parts, "--cell", CELL, "--same-setup", "--no-report", "--out", tmp_path / "out")
+    assert run("identify", *arguments) == 0
+    one, two = result_of(whole), result_of(tmp_path / "out")
+    assert two["verdict"] == one["verdict"]
+    for figure in ("rms_before", "rms_after", "held_out_rms_after"):
+        assert two["fit"][figure] == pytest.approx(one["fit"][figure], rel=1e-6)
+    for mine, theirs in zip(two["stiffness"], one["stiffness"], strict=True):
+        assert mine["value"] == pytest.approx(theirs["value"], rel=1e-6)
+        assert mine["std"] == pytest.approx(theirs["std"], rel=1e-6)
+    assert "recordings" not in two
+    renumbered = [note for note in two["notes"] if note["kind"] == "renumbered"]
+    assert len(renumbered) == (split == "numbered alike")
+
+
+@pytest.mark.parametrize(
+    ("more", "found"),
+    [
+        ((), "--same-setup: found one recording, expected several, measured in one set-up"),
+        (("again",), "readings that are those of"),
+        (("b", "--cell"), "--same-setup: found 2 cell files, expected one, which files of one set-up share"),
+    ],
+)
+def test_what_one_set_up_cannot_be(
+    more: tuple[str, ...], found: str, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parts = halves(simulated / "measurements.csv", tmp_path, lambda n: n <= 9)
+    named = {"again": (parts[0],), "b": (parts[1],), "--cell": ("--cell", CELL)}
+    arguments = (parts[0], *(x for one in more for x in named[one]), "--cell", CELL, "--same-setup")
+    for command in ("identify", "diagnose"):
+        assert run(command, *arguments, "--out", tmp_path / "out") == 2
+        assert found in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -11,7 +11,7 @@ from calibration_core.cell import Cell
 from calibration_core.commands.shared.inputs import Refusal
 from calibration_core.errors import InputError
 from calibration_core.identification.result.estimate import Anomaly
-from calibration_core.identification.several.merge import cells_of, members_of
+from calibration_core.identification.several.merge import as_one, cells_of, members_of
 from calibration_core.identification.stiffness.loaded import Options
 from calibration_core.model.identified.model_file import GivenModel
 from calibration_core.observations.observe import observe
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def read_recordings(arguments: argparse.Namespace) -> tuple[tuple[Cell, ...], tuple[Readings, ...]]:
-    """Return the cells, one for each recording, and the recordings that a command names.
+    """Return the cells, one for each recording, and the recordings that a command names; of one set-up, as one.
 
     Raises:
         InputError: One cannot be read, or there are neither one nor as many cell files as recordings.
@@ -31,7 +31,15 @@ def read_recordings(arguments: argparse.Namespace) -> tuple[tuple[Cell, ...], tu
     paths = arguments.recordings
     cells = cells_of(arguments.cells, len(paths), arguments.command)
     recordings = [observe(path, cell) for path, cell in zip(paths, cells, strict=True)]
-    return cells, dated(recordings, arguments.date, arguments.command)
+    several = dated(recordings, arguments.date, arguments.command)
+    if not arguments.same_setup:
+        return cells, several
+    if len(paths) == 1:
+        raise InputError(arguments.command, "--same-setup", "one recording", "several, measured in one set-up")
+    if len(arguments.cells) != 1:
+        found = f"{len(arguments.cells)} cell files"
+        raise InputError(arguments.command, "--same-setup", found, "one, which files of one set-up share")
+    return cells[:1], (as_one(several),)
 
 
 def dated(recordings: Sequence[Readings], day: str | None, who: str) -> tuple[Readings, ...]:

@@ -29,7 +29,7 @@ from calibration_core.model.statics import load_of
 from calibration_core.observations.average import position_covariance, wrench_covariance
 from calibration_core.observations.kinds import holds_single_steps, is_loaded, refuse_same
 from calibration_core.recording.source import digests_of_several
-from calibration_core.timeseries import Float1D, Float2D, Float3D, Provenance, Readings
+from calibration_core.timeseries import Float1D, Float2D, Float3D, Note, Provenance, Readings
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -72,11 +72,67 @@ def members_of(recordings: Sequence[Readings], cells: Sequence[Cell]) -> tuple[M
         if first.sha256 and sorted(first.sha256.values()) == sorted(second.sha256.values()):
             raise RecordingError(second.path, "", f"the same content as in {first.path}", "every recording once")
     refuse_same(recordings)
-    most = max(int(readings.configuration.max(initial=0)) for readings in recordings)
-    stride = 10 ** max(3, len(str(most)))
+    stride = _stride(recordings)
     return tuple(
         Member(recordings[k], cells[k], number, (number - 1) * stride) for number, k in enumerate(order, start=1)
     )
+
+
+def as_one(recordings: Sequence[Readings]) -> Readings:
+    """Return several files of one set-up as one recording: one tracker pose, one set of targets, one sensor.
+
+    Files without a wrench beside files with one hold none.  Configurations keep their numbers where no two files share
+    one.  Rows are in the order of time where the files' times are of one clock, else file after file.
+
+    Raises:
+        RecordingError: A file is named twice.
+    """
+    refuse_same(recordings)
+    names = tuple(dict.fromkeys(name for one in recordings for name in one.points))
+    recorded = any(one.wrench is not None for one in recordings)
+    stride, used, end = _stride(recordings), set[int](), 0.0
+    together = _one_clock(recordings)
+    parts = []
+    for k, one in enumerate(sorted(recordings, key=lambda one: one.provenance.start)):
+        number, notes, time = one.configuration, one.notes, one.time
+        if used & set(number.tolist()):
+            number = number + k * stride
+            text = f"its configurations are numbered from {number.min()} on, for another file has the same numbers"
+            notes = (*notes, Note("renumbered", one.provenance.path, text))
+        used |= set(number.tolist())
+        if not together and np.isfinite(time).any():
+            time = time - np.nanmin(time) + end
+            end = float(np.nanmax(time)) + 1.0
+        part = dataclasses.replace(
+            one, points=names, configuration=number, time=time, notes=notes,
+            point=np.array([names.index(name) for name in one.points])[one.point],
+            wrench=np.zeros((len(one), 6)) if recorded and one.wrench is None else one.wrench,
+        )  # fmt: skip
+        parts.append(part)
+    scattered = [one.provenance.path for one in parts if one.position_covariance is not None]
+    if scattered and len(scattered) < len(parts):
+        text = "the scatter within its windows is not used, for other files of the set-up do not hold it"
+        parts[0] = parts[0].with_notes(*(Note("scatter_unused", path, text) for path in scattered))
+    whole = dataclasses.replace(_stacked(parts), conditions=tuple(seen for one in parts for seen in one.conditions))
+    return whole.select(np.argsort(whole.time, kind="stable")) if together else whole
+
+
+def _stride(recordings: Sequence[Readings]) -> int:
+    """Return what is added to numbers of configurations, once for each file before, so that no two files share one."""
+    most = max(int(readings.configuration.max(initial=0)) for readings in recordings)
+    return int(10 ** max(3, len(str(most))))
+
+
+def _one_clock(recordings: Sequence[Readings]) -> bool:
+    """Say whether times of several files are of one clock: a robot is never in configurations of two files at once."""
+    if not all(np.isfinite(one.time).all() for one in recordings):
+        return False
+    spans = []
+    for k, one in enumerate(recordings):
+        for number in np.unique(one.configuration):
+            time = one.time[one.configuration == number]
+            spans.append((float(time.min()), float(time.max()), k))
+    return all(a[2] == b[2] or a[1] <= b[0] for a, b in itertools.pairwise(sorted(spans)))
 
 
 def cells_of(paths: Sequence[Path], count: int, command: str) -> tuple[Cell, ...]:
