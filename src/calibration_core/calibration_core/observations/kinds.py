@@ -66,6 +66,17 @@ def loaded_configurations(readings: Readings) -> list[int]:
     return [int(number) for number in np.unique(readings.configuration[~single_steps(readings)])]
 
 
+def held_out_freedom(readings: Readings) -> int:
+    """Return of how many independent coordinates the errors of configurations left out are.
+
+    Under load one of the steps of a configuration and point is its offset, or the reference of the others.
+    """
+    if not is_loaded(readings):
+        return 3 * len(readings)
+    steps = np.unique(np.column_stack([readings.configuration, readings.point]), axis=0, return_counts=True)[1]
+    return 3 * int(np.maximum(steps - 1, 1).sum())
+
+
 def relative_pull(readings: Readings) -> Float1D:
     """Return how hard every reading is pulled, (m,), as a share of the range of the force of its recording, 0 to 1.
 

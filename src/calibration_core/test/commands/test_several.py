@@ -276,6 +276,7 @@ def test_files_of_one_set_up_are_one_file(split: str, simulated: Path, whole: Pa
     assert two["verdict"] == one["verdict"]
     for figure in ("rms_before", "rms_after", "held_out_rms_after"):
         assert two["fit"][figure] == pytest.approx(one["fit"][figure], rel=1e-6)
+    assert two["fit"]["held_out_freedom"] == one["fit"]["held_out_freedom"] == 3 * (324 - 12 * 3)  # less the offsets
     for mine, theirs in zip(two["stiffness"], one["stiffness"], strict=True):
         assert mine["value"] == pytest.approx(theirs["value"], rel=1e-6)
         assert mine["std"] == pytest.approx(theirs["std"], rel=1e-6)

@@ -34,6 +34,7 @@ def diagnosis_dict(diagnosis: Diagnosis, cell: Cell) -> dict[str, Any]:
         "held_out_rms_after": diagnosis.held_out_after,
         "noise": diagnosis.noise,
         "unit": "m",
+        "held_out_freedom": content["fit"]["held_out_freedom"],
         **diagnosis.further_figures,
     }
     content |= judgement(diagnosis)

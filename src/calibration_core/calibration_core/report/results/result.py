@@ -12,7 +12,7 @@ from calibration_core.cell import Cell
 from calibration_core.files.written import json_bytes
 from calibration_core.identification.result.estimate import Anomaly, Identification, JointStiffness
 from calibration_core.model.identified.model_file import GivenModel
-from calibration_core.observations.kinds import postures_at_rest
+from calibration_core.observations.kinds import held_out_freedom, postures_at_rest
 from calibration_core.report.results.phases import decoupled_dict, phases_dict
 from calibration_core.report.results.provenance import digests, software
 from calibration_core.report.results.scene import space_dict
@@ -128,6 +128,7 @@ def _fit(result: Identification) -> dict[str, Any]:
         "unit": "m",
         "held_out_mean_after": fit.held_out_mean_after,
         "held_out_max_after": fit.held_out_max_after,
+        "held_out_freedom": held_out_freedom(result.readings),
         **({} if math.isnan(fit.positions) else {"positions_rms": fit.positions}),
     }
 

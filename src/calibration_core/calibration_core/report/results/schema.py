@@ -45,6 +45,9 @@ class FitEntry(_Open):
     held_out_rms_after: Number
     noise: Number = Field(description="Standard deviation of one coordinate that the instruments explain.")
     unit: Literal["m"]
+    held_out_freedom: int | None = Field(
+        default=None, description="Independent coordinates behind `held_out_rms_*`: offsets are taken out of them."
+    )
     positions_rms: Number = Field(
         default=None,
         description="Of absolute positions beside loads: tracker and targets fitted, geometry as in the model.",
