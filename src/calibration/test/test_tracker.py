@@ -259,7 +259,7 @@ def test_samples_from_before_are_not_averaged_however_late_they_arrive(spinning:
 
 
 class OwnClock:
-    """A robot that moves when it is told to, and a tracker whose clock is ahead and gains; times are ns of the node."""
+    """A robot that moves on command, and a tracker whose clock is ahead and gains; times are ns of the node."""
 
     OFFSET, RATE, LENGTH = 5_600_000_000, 1.001, 3.0
 
@@ -303,8 +303,8 @@ def test_a_clock_of_its_own_is_learnt_from_motion(spinning: Any, feeds: list[Fee
     client = spinning.plain()
     heard: list[tuple[int, int]] = []
     checks: list[SampleCheck] = []
-    told: list[SessionEvent] = []
-    client.create_subscription(SessionEvent, "calibration/event", told.append, EVENT.qos)
+    events: list[SessionEvent] = []
+    client.create_subscription(SessionEvent, "calibration/event", events.append, EVENT.qos)
     client.create_subscription(
         PointStamped, "tracker/mp1", lambda one: heard.append((stamp_ns(one.header.stamp), node.now_ns())), 1000
     )
@@ -321,9 +321,9 @@ def test_a_clock_of_its_own_is_learnt_from_motion(spinning: Any, feeds: list[Fee
     until(lambda: "ahead of the robot's, rate " in checks[-1].text, timeout=5.0)
     result = measure(client, "tracker/measure", Measure.Goal())
     assert result.outcome.code == Outcome.OK, result.outcome.text
-    until(lambda: bool(told))
-    assert [(one.kind, one.source) for one in told] == [(SessionEvent.TRACKER_CLOCK, "tracker")]
-    assert told[0].text.startswith("the tracker's clock is 5.6")
+    until(lambda: bool(events))
+    assert [(one.kind, one.source) for one in events] == [(SessionEvent.TRACKER_CLOCK, "tracker")]
+    assert events[0].text.startswith("the tracker's clock is 5.6")
     world.go()
     until(lambda: not node.joints.moving(), timeout=5.0)
     count = len(heard)

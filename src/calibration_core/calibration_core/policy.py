@@ -96,3 +96,18 @@ CLOCK_WANDER = 1e-6
 # s, standard deviation of the offset, from which a tracker's clock counts as known.  A reading begins when everything
 # has stood for 1.5 s: fifteen of these.  Earns: a long reading after one motion is taken, a guessed clock is none.
 CLOCK_KNOWN = 0.1
+
+# Share of the motion, of robot or tracker, that both must have seen at an offset.  Earns: ends of two recordings that
+# resemble each other are no offset.
+CLOCK_COMMON = 0.6
+
+# Share of the squares that may be left of speeds or distances.  Earns: a clock that was set by 3 s is found anew.
+CLOCK_UNLIKE = 0.1
+
+# Standard deviations between a clock that is known and what a motion shows, from which it was set.  Earns: one that was
+# set by 0.1 s is found anew, and not averaged with what it was.
+CLOCK_ANEW = 5.0
+
+# s, that a sample takes to arrive at most: stamps farther from the times of receipt are another clock's.  Earns: a
+# tracker that was started again is noticed before the next motion.
+CLOCK_LATE = 10.0

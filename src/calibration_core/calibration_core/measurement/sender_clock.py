@@ -17,7 +17,16 @@ from calibration_core.cell import Cell
 from calibration_core.model.kinematics import posture
 from calibration_core.model.nominal import nominal_parameters
 from calibration_core.model.robot import chain_of
-from calibration_core.policy import CLOCK_KNOWN, CLOCK_RATE, CLOCK_WANDER, MAD
+from calibration_core.policy import (
+    CLOCK_ANEW,
+    CLOCK_COMMON,
+    CLOCK_KNOWN,
+    CLOCK_LATE,
+    CLOCK_RATE,
+    CLOCK_UNLIKE,
+    CLOCK_WANDER,
+    MAD,
+)
 from calibration_core.timeseries import NANOSECONDS, Bool1D, Float1D, Float2D, Int1D
 
 SPAN = 0.1  # s, between the two samples of a distance: at 250 mm/s a thousand times a tracker's noise
@@ -25,20 +34,17 @@ GAP = 0.25  # s between two joint states, within which the robot may have been a
 STILL = 0.005  # m/s, root mean square: a robot that stands shows nothing
 GRID = 0.02  # s, of the search
 PIECE = 30.0  # s of motion that is searched for: clocks that differ by 1e-3 part by 0.03 s meanwhile
-COMMON = 0.6  # of the motion in the piece, or of what the tracker has seen, that both have
-UNLIKE = 0.1  # share of the squares that may be left; of unrelated motions most is
 RIVAL, PLAIN = 4.0, 0.01  # times the least share left, and share: another offset that leaves no more fits as well
 WIDE = 1.0  # s to either side, within which such offsets are the same minimum
-GROSS = 5.0  # standard deviations, from which a distance loses weight
+WIDELY = np.diag([WIDE**2, CLOCK_RATE**2])  # covariance of a clock before its motion is fitted
+GROSS = 5.0  # standard deviations, from which a distance loses weight: a tracker's gross errors
 BLOCK = 1.0  # s, over which errors of the model belong together
 STEP, STEP_RATE = 1e-3, 1e-4  # s, and rate: of derivatives
 STEPS = np.diag([STEP, STEP_RATE])
 FEWEST = 20  # distances that are fitted
 LEAST = 1e-9  # m: residuals without noise
 PASSES, CLOSE = 10, 1e-6  # iterations at most, and s: steps that are too small to go on
-ANEW = 5.0  # standard deviations between what is known and what a motion shows: the sender's clock was set
 KEEP = 60.0  # s of samples
-LATE = 10.0  # s, that a sample takes to arrive at most: stamps farther off the receive times are another clock's
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -113,7 +119,7 @@ class ClockFromMotion:
         if self.clock is None:
             return None
         time = self.clock.by_robot(stamp)
-        if abs(time - received) <= LATE * NANOSECONDS:
+        if abs(time - received) <= CLOCK_LATE * NANOSECONDS:
             return time
         self.clock, self._why = None, "it was set"
         for seen in self._seen.values():
@@ -131,7 +137,7 @@ class ClockFromMotion:
         """Take a motion, stamps (k,) ns and joint angles (k, n) rad; tell whether another clock is known now."""
         if not len(time):
             return False
-        first, last = time[0] - LATE * NANOSECONDS, time[-1] + LATE * NANOSECONDS
+        first, last = time[0] - CLOCK_LATE * NANOSECONDS, time[-1] + CLOCK_LATE * NANOSECONDS
         for name, kept in self._seen.items():
             seen = [one for one in kept if first <= one[1] <= last]
             if not seen:
@@ -182,11 +188,14 @@ def sender_clock(
         return "the robot does not move, or the tracker does not see it move"
     if near is not None:
         before = near.at(int(robot[0][len(robot[0]) // 2]))
+        free = _fitted(robot, seen, dataclasses.replace(before, covariance=WIDELY))
+        if isinstance(free, SenderClock):  # beside a sure clock, a motion that contradicts it would count for nothing
+            change = free.minus(before)
+            if change @ np.linalg.solve(before.covariance + free.covariance, change) > CLOCK_ANEW**2:
+                return free
         found = _fitted(robot, seen, before)
         if isinstance(found, SenderClock):
-            change = found.minus(before)
-            if change @ np.linalg.solve(before.covariance, change) <= ANEW**2:
-                return found
+            return found
     ahead = None if received is None else float(np.max(tracker[0] - received)) / NANOSECONDS
     start = _searched(moved, seen, ahead)
     return start if isinstance(start, str) else _fitted(robot, seen, start)
@@ -245,19 +254,19 @@ def _searched(moved: _Distances, seen: _Distances, ahead: float | None) -> Sende
         return np.asarray(np.fft.irfft(np.conj(np.fft.rfft(x, size)) * np.fft.rfft(y, size), size)[lags])
 
     robots, trackers = sums(a**2, in_b), sums(in_a, b**2)
-    common = np.maximum(robots / float(a @ a), trackers / float(b @ b)) >= COMMON
+    common = np.maximum(robots / float(a @ a), trackers / float(b @ b)) >= CLOCK_COMMON
     if ahead is not None:
-        common &= np.abs((start - begin) / NANOSECONDS + GRID * lags - ahead) <= LATE
+        common &= np.abs((start - begin) / NANOSECONDS + GRID * lags - ahead) <= CLOCK_LATE
     left = np.where(common, 1.0 - 2.0 * sums(a, b) / np.maximum(robots + trackers, 1e-30), 1.0)
     best = int(np.argmin(left))
-    if left[best] > UNLIKE:
+    if left[best] > CLOCK_UNLIKE:
         return f"the tracker sees another motion than the robot's: {100 * left[best]:.0f} % of the speeds do not agree"
     rivals = np.flatnonzero(left <= max(RIVAL * left[best], PLAIN))
     if np.abs(rivals - best).max() * GRID > WIDE:
         return "the motion repeats itself or keeps its speed: more than one offset fits"
     middle = round(len(a) / 2 * GRID * NANOSECONDS)
     sender = start + middle + round(float(lags[best]) * GRID * NANOSECONDS)
-    return SenderClock(begin + middle, sender, 1.0, np.diag([WIDE**2, CLOCK_RATE**2]))
+    return SenderClock(begin + middle, sender, 1.0, WIDELY)
 
 
 def _fitted(robot: tuple[Int1D, Float2D], seen: _Distances, prior: SenderClock) -> SenderClock | str:
@@ -313,7 +322,7 @@ def _fitted(robot: tuple[Int1D, Float2D], seen: _Distances, prior: SenderClock) 
         if reach >= farthest:
             break
         reach *= 2.0
-    if not left <= UNLIKE:
+    if not left <= CLOCK_UNLIKE:
         return f"the tracker sees another motion than the robot's: {100 * left:.0f} % of the distances do not agree"
     if covariance[0, 0] > CLOCK_KNOWN**2:
         return "the speed changes too little: the motion does not show the offset"

@@ -44,6 +44,7 @@ class World:
     noise: float = 3e-5  # m
     model: float = 1e-3  # rad, that the joints are off the model
     dropped: float = 0.05
+    gross: float = 0.0  # share of the tracker's samples that are 20 mm off
     length: float = 22.0
     periodic: bool = False
     cruise: bool = False  # of constant speed between short ramps
@@ -97,6 +98,7 @@ class World:
         seen = places(self.cell, self.angles(at) + self.off) @ self.turn.T + [1.0, -2.0, 3.0]
         late = self.rng.exponential(0.01, len(at))
         seen += self.noise * self.rng.standard_normal(seen.shape)
+        seen[self.rng.random(len(at)) < self.gross] += 0.02
         return ns(self.offset + self.rate * at), seen, ns(at + late)
 
     def errors(self, found: SenderClock) -> Float1D:
@@ -112,6 +114,7 @@ CASES = {
     "constant speed between ramps": ({"cruise": True}, {}),
     "constant speed, slow streams": ({"cruise": True, "length": 42.0}, {"rate": 5.0}),
     "noise": ({"noise": 3e-4}, {}),
+    "gross errors": ({"gross": 0.01}, {}),
     "slow streams": ({}, {"rate": 10.0}),
     "fast streams": ({}, {"rate": 500.0}),
     "many samples missing": ({"dropped": 0.4}, {"gap": 2.0}),
@@ -178,7 +181,7 @@ def test_a_clock_is_known_the_less_the_longer_the_robot_stands() -> None:
 def test_a_clock_that_is_set_is_found_anew() -> None:
     world = World(1)
     clock = ClockFromMotion(world.cell)
-    for shift in (0.0, 3.0, 1000.0, -1000.0):
+    for shift in (0.0, 0.1, 3.0, 1000.0, -1000.0):
         world.offset = 5.6 + shift
         for stamp, position, received in zip(*world.tracker(0.0, 20.0), strict=True):
             clock.by_robot(int(stamp), int(received))
