@@ -67,7 +67,7 @@ COMMANDS = {  # what each command reads of a case, and how it is called; a new c
 }
 WHOLE, SOME = ("plan", "identify"), 5  # commands that read every case; of the others every fifth, by the same readers
 TOGETHER = [(name,) for name in WHOLE] + [tuple(name for name in COMMANDS if name not in WHOLE)]  # in one process each
-OTHERWISE = {"import", "describe", "init", "check", "completion", "fleet"}  # they have tests of their own
+OTHERWISE = {"import", "describe", "init", "check", "completion", "fleet", "pendant"}  # they have tests of their own
 
 
 def test_every_command_is_tested() -> None:

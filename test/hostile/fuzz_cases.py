@@ -72,6 +72,11 @@ READS: dict[str, tuple[Line, ...]] = {  # command -> lines of arguments, `{role}
         (*FITTED, "--for", "verify", "--tolerance", "1e-3", "--risk", "0.05"),
         ("--cell", "{cell}", "--for", "geometry", "--box", "-1", "1", "-1", "1", "0", "2", "--seed", "3"),
     ),
+    "pendant": (
+        ("{route}", "--cell", "{urdf_cell}", "--maker", "ur"),
+        ("{route}", "--cell", "{urdf_cell}", "--maker", "fanuc", "--map", "{coupling}"),
+        ("{route}", "--cell", "{urdf_cell}", "--maker", "kuka", "--axis-speeds", "360 300 360 381 388 615"),
+    ),
     "simulate": (
         ("--cell", "{cell}", "--plan", "{plan}"), (*FITTED, "--plan", "{plan}"),
         ("--cell", "{cell}", "--plan", "{plan}", "--seed", "4"),
@@ -123,8 +128,8 @@ READS: dict[str, tuple[Line, ...]] = {  # command -> lines of arguments, `{role}
     ),
 }  # fmt: skip
 OFTEN = {
-    "plan": 2, "simulate": 3, "identify": 8, "diagnose": 4, "predict": 7, "export": 4, "deflect": 3, "compensate": 4,
-    "verify": 4, "compare": 4, "import": 4, "describe": 1, "init": 2, "check": 4,
+    "plan": 2, "pendant": 2, "simulate": 3, "identify": 8, "diagnose": 4, "predict": 7, "export": 4, "deflect": 3,
+    "compensate": 4, "verify": 4, "compare": 4, "import": 4, "describe": 1, "init": 2, "check": 4,
 }  # fmt: skip
 DRAWN = {"plan", "simulate", "identify", "diagnose", "predict", "deflect", "compensate", "verify", "compare", "check"}
 
@@ -165,6 +170,8 @@ def good_files(folder: Path) -> dict[str, Path]:
                                               "0.2,0.2,0.4,5,6,-40,0,0,0,a\n"),
         "places": _written(folder / "places.csv", "x,y,z,roll,pitch,yaw,time\n0.6,0.1,0.5,0,1.5,0,0\n0.61,0.1,0.5,0,"
                                                   "1.5,0,1\n"),
+        "route": _written(folder / "route.yaml", _plan(6, 0.7)),
+        "coupling": _written(folder / "coupling.yaml", "joint_coupling: {q3: {q2: 1.0}}\n"),
         "map": _written(folder / "map.yaml", "files: [{separator: ',', columns: {x: x, y: y, z: z}}]\n"),
         "points": _written(folder / "points.txt", "Name;X [mm];Y [mm];Z [mm]\n" + "".join(
             f"C{k}_S1_mp1;{1000 + 3 * k},5;{20 * k},25;{700 - k},125\n" for k in range(1, 7))),
@@ -180,11 +187,11 @@ def _written(path: Path, text: str) -> Path:
     return path
 
 
-def _plan() -> str:
+def _plan(joints: int = 3, most: float = 1.2) -> str:
     rng = np.random.default_rng(1)
     lines = ["schema: 1", "configurations:"]
     for number in range(1, 13):
-        q = ", ".join(f"{x:.3f}" for x in rng.uniform(-1.2, 1.2, 3))
+        q = ", ".join(f"{x:.3f}" for x in rng.uniform(-most, most, joints))
         pull = rng.normal(size=3)
         steps = [[*(scale * 60 * pull / np.linalg.norm(pull)).round(2).tolist(), 0, 0, 0] for scale in (0.0, 0.5, 1.0)]
         lines.append(f"  - {{number: {number}, q: [{q}], steps: {json.dumps(steps)}}}")

@@ -21,7 +21,7 @@ from calibration_core.engine.command_line import EXAMPLE, OneLineParser, day, gr
 
 SECTIONS = {
     "First steps": ("init", "check", "import"),
-    "Measuring": ("plan", "simulate"),
+    "Measuring": ("plan", "pendant", "simulate"),
     "Evaluating": ("identify", "diagnose", "predict"),
     "Judging": ("verify", "compare", "fleet"),
     "Using": ("deflect", "compensate", "export"),
@@ -33,6 +33,7 @@ EXAMPLES = {
     "check": "check my.cell.yaml",
     "import": "import points.txt robot.csv",
     "plan": "plan --cell my.cell.yaml --configurations 18",
+    "pendant": "pendant build/calibration/plan/plan.yaml --cell my.cell.yaml --maker abb",
     "simulate": "simulate --cell my.cell.yaml --plan build/calibration/plan/plan.yaml --seed 1",
     "identify": "identify my_bag --cell my.cell.yaml",
     "diagnose": "diagnose my_bag --cell my.cell.yaml",
@@ -120,6 +121,7 @@ def argument_parser() -> argparse.ArgumentParser:
         dest="command", required=True, metavar="COMMAND", parser_class=OneLineParser
     )
     plan_arguments(_command(commands, "plan", "choose measurement configurations (Table 1 of the standard)"))
+    _pendant(_bare(commands, "pendant", "a plan as a program for the robot's pendant: KUKA, ABB, FANUC, Yaskawa, UR"))
     _simulate(_command(commands, "simulate", "write a recording as the cell's model predicts it"))
     _identify(_bare(commands, "identify", "joint stiffness, frames and geometry from recordings of one robot"))
     _diagnose(_bare(commands, "diagnose", "where simulation and recording differ, and which physics the model lacks"))
@@ -379,6 +381,27 @@ def _export(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--range", metavar='"LOW HIGH ..."', help="table: ends for each of --joints, rad (default: their limits)"
+    )
+
+
+def _pendant(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("plan", type=path, metavar="PLAN.yaml", help="the plan")
+    _cell(parser)
+    parser.add_argument(
+        "--maker", choices=("kuka", "abb", "fanuc", "yaskawa", "ur"), required=True, help="whose controller runs it"
+    )
+    group(parser, INPUT).add_argument(
+        "--map", type=path, metavar="MAP.yaml", help="as of import: which axis is which joint, and coupled joints"
+    )
+    parser.add_argument(
+        "--axis-speeds",
+        metavar='"V1 V2 ..."',
+        help="kuka, yaskawa: largest speed of every axis by the data sheet, deg/s",
+    )
+    parser.add_argument(
+        "--pulses",
+        metavar='"P1 P2 ..."',
+        help="yaskawa: pulses per degree of S L U R B T",
     )
 
 

@@ -111,3 +111,7 @@ CLOCK_ANEW = 5.0
 # s, that a sample takes to arrive at most: stamps farther from the times of receipt are another clock's.  Earns: a
 # tracker that was started again is noticed before the next motion.
 CLOCK_LATE = 10.0
+
+# Largest speed of a motion from rest to rest over its mean speed: 2 where it speeds up for half of the time and slows
+# down for the other.  Earns: pendant programs that state durations (RAPID, TP) keep the bound of 250 mm/s.
+MOTION_PEAK = 2.0

@@ -15,7 +15,7 @@ from calibration_core.errors import CalibrationError
 
 WITHOUT_RESULT = ("describe", "completion")  # they write nothing
 FAMILIES = {
-    "planning": ("plan",),
+    "planning": ("plan", "pendant"),
     "evaluation": ("simulate", "identify", "diagnose", "predict"),
     "application": ("export", "deflect", "compensate"),
     "files": ("init", "check", "describe"),

@@ -51,6 +51,7 @@ def results(identified: Path, tmp_path_factory: pytest.TempPathFactory) -> Mappi
         "import": ("import", other),
         "fleet": ("fleet", plant, "--jobs", 1, *bare),
         "plan": ("plan", "--configurations", 12, "--phases", *common),
+        "pendant": ("pendant", folder / "plan" / "plan.yaml", "--cell", CELL, "--maker", "abb"),
         "plan for geometry": ("plan", "--for", "geometry", "--configurations", 14, *common),
         "plan for verify": ("plan", "--for", "verify", *model, "--tolerance", "2e-3", *common),
         **{f"export {form}": ("export", "--format", form, *model, "--cell", CELL)

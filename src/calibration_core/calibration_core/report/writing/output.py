@@ -23,6 +23,11 @@ ALWAYS = frozenset({RESULT, REPORT_HTML, REPORT_PDF})
 IDENTIFIED = ALWAYS | {"model.yaml", "table1.csv", "table2.csv", "residuals.csv"}
 WRITTEN: Mapping[str, frozenset[str]] = {
     "plan": ALWAYS | {"plan.yaml", "table1.csv", "table1.yaml"},
+    "pendant": frozenset(
+        {RESULT}
+        | {f"calib{part}.{suffix}" for part in ("", "_s", "_w") for suffix in ("src", "mod", "ls", "script")}
+        | {"CALIB.JBI", "CALIB_S.JBI", "CALIB_W.JBI"}
+    ),
     "simulate": ALWAYS | {"plan.yaml", "table1.csv", "table1.yaml", "recording", "measurements.csv"},
     "identify": IDENTIFIED,
     "diagnose": IDENTIFIED
