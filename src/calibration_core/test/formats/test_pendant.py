@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,12 @@ from calibration_core.cell.serial_chain import serial_chain
 from calibration_core.cli import main
 from calibration_core.files.yaml_file import read_yaml, yaml_text
 from calibration_core.formats.pendant import MAKERS, plain
+from calibration_core.measurement import messages as m
+from calibration_core.measurement.sequence import Sequence
 from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.robot import chain_of
 from calibration_core.motion.speed import Monitored
-from calibration_core.planning.plans.measurement_queue import MeasurementQueue, SequenceRules
+from calibration_core.planning.plans.measurement_queue import SequenceRules
 from calibration_core.planning.plans.plan import Plan, PlannedConfiguration, Reference
 from calibration_core.planning.plans.plan_file import plan_text, read_plan
 from calibration_core.planning.route import stops
@@ -127,13 +130,42 @@ def test_a_program_holds_the_postures_of_the_run_in_its_order(maker: str, tmp_pa
         np.testing.assert_allclose(found, q, atol=2e-5 if maker == "yaskawa" else 2e-6)  # half a pulse
         halts = re.findall(r"^HALT ; stop|^ +Stop;|: +PAUSE ;|^PAUSE|blocking=True", text, re.MULTILINE)
         assert len(halts) - (maker == "abb") == len(q)  # its check of the mode stops, too
-    queue = MeasurementQueue(plan, SequenceRules(), frozenset(), frozenset(), 0)
-    while (item := queue.next(0.0)) is not None and item.number != 2:
-        queue.done(item)
-    queue.give_up(item)
-    while (item := queue.next(0.0)) is not None and item.number != plan.spares[0].number:
-        queue.done(item)
-    np.testing.assert_array_equal(item.q, parts["calib_s"][0])  # what comes in place of a configuration that was lost
+
+
+def asked_for(plan: Plan, blocked: int) -> list[np.ndarray]:
+    """Postures that the procedure asks the operator for; one configuration cannot be reached, at no try."""
+    sequence, waiting, asked = Sequence(plan, SequenceRules(startup_period=math.inf)), [], []
+    for event in (m.Start(0.0), m.GuardHearing(0.0, hears=True), m.PermissionChanged(0.0, True, "", True)):
+        waiting += sequence.handle(event)
+    answers = {m.RequestLoad: m.LoadReached, m.AwaitSettled: m.Settled, m.TakeReading: m.ReadingConfirmed}
+    while waiting:
+        command = waiting.pop(0)
+        if isinstance(command, m.Move):
+            asked.append(command.q)
+            here = command.configuration == blocked
+            event = m.Blocked(0.0, command.request, "") if here else m.Arrived(0.0, command.request)
+        elif type(command) in answers:
+            event = answers[type(command)](0.0, command.request)
+        else:
+            continue
+        waiting += sequence.handle(event)
+    assert sequence.state is m.RunState.FINISHED
+    return asked
+
+
+def test_program_and_procedure_go_hand_in_hand(tmp_path: Path) -> None:
+    """Whatever the procedure asks for is the next stop, or the same again, or the first of the spares."""
+    cell = load_cell(write_cell(tmp_path, "abb"))
+    plan = write_plan(cell, tmp_path / "plan.yaml")
+    assert pendant(tmp_path, "abb") == 0
+    main_one, spares = (read_back(tmp_path / "out" / f"{name}.mod", None) for name in ("calib", "calib_s"))
+    np.testing.assert_allclose(asked_for(plan, blocked=-1), main_one, atol=1e-6)
+    asked = asked_for(plan, blocked=3)
+    again = next(k for k in range(1, len(asked)) if np.array_equal(asked[k], asked[k - 1]))
+    del asked[again]
+    spare = next(k for k, q in enumerate(asked) if np.abs(q - spares[0]).max() < 1e-6)
+    np.testing.assert_allclose(asked[:spare], main_one[:spare], atol=1e-6)
+    np.testing.assert_allclose(asked[spare + 1 :], [plan.reference.q] * len(asked[spare + 1 :]), atol=1e-6)
 
 
 def test_a_program_says_what_the_sequencer_asks_for_within_the_makers_lengths(maker: str, tmp_path: Path) -> None:
