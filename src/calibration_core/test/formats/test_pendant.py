@@ -248,7 +248,7 @@ def test_what_leaves_the_axes_open_is_refused(tmp_path: Path, capsys: pytest.Cap
     assert "found 'FANUC M-20iA', expected a robot of this maker, or --maker fanuc" in refused(tmp_path, capsys, "abb")
     assert "robot.joint_coupling: found nothing, expected how J3 counts" in refused(tmp_path, capsys, "fanuc")
     for how, said in (
-        ({"joint_coupling": {"q3": {"q9": 1.0}}}, "joint_coupling.q3: found 'q9'"),
+        ({"joint_coupling": {"q3": {"q9": 1.0}}}, "joint_coupling: found 'q9', expected two of q1"),
         ({"joint_coupling": {"q3": {"q2": 1.0}, "q2": {"q3": 1.0}}}, "couplings that undo each other"),
         ({**COUPLED, "files": [{"match": "*.src"}]}, "expected a pattern that fits calib.ls"),
         ({**COUPLED, "files": [{"units": {"q": "rad"}}]}, "files.units.q1: found rad, expected deg"),

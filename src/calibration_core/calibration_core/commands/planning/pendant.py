@@ -34,6 +34,7 @@ from calibration_core.planning.plans.plan import Plan
 from calibration_core.planning.plans.plan_file import read_plan
 from calibration_core.planning.route import stops
 from calibration_core.policy import MOTION_PEAK
+from calibration_core.recording.foreign.join import coupled
 from calibration_core.recording.foreign.mapping import ImportMap, import_map
 from calibration_core.report.results.command import input_record
 from calibration_core.report.results.result import SCHEMA
@@ -98,7 +99,7 @@ def run(arguments: argparse.Namespace) -> str:
             files[file] = maker.write(name, _remarks(cell, inputs["plan"], fastest), halts).encode("ascii")
             programs.append({"file": file, "stops": len(halts), "speed_bound": bound, "unit": "m/s"})
             lines.append(f"{file}: {counted(len(halts), 'stop')}, from one to the next {fastest}")
-    notes = _notes(plan, maker, coupled=bool(np.any(axes.matrix != np.diag(np.diag(axes.matrix)))))
+    notes = _notes(plan, maker, counted_otherwise=bool(np.any(axes.matrix != np.diag(np.diag(axes.matrix)))))
     result = {
         "schema": SCHEMA,
         "command": "pendant",
@@ -191,13 +192,8 @@ def _coupling(how: ImportMap, cell: Cell, maker: Maker, place: Path) -> Float2D:
             "or joint_coupling: {q3: {q2: 1.0}} in a map; 0.0 where it does not"
         )
         raise CellError(cell.path, "robot.joint_coupling", "nothing", expected)
-    matrix = cell.robot.coupling
-    names = [f"q{i + 1}" for i in range(len(matrix))]
-    for name, parts in how.joint_coupling.items():
-        for other, factor in parts.items():
-            if name not in names or other not in names or name == other:
-                raise RecordingError(place, f"joint_coupling.{name}", quoted(other), f"two of {', '.join(names)}")
-            matrix[names.index(name), names.index(other)] = factor
+    each = {f"q{i + 1}": row for i, row in enumerate(np.eye(len(cell.robot.joints)))}
+    matrix = cell.robot.coupling @ np.stack(coupled(each, how, place, []))
     if not np.linalg.cond(matrix) <= MOST_CONDITION:
         raise RecordingError(place, "joint_coupling", "couplings that undo each other", "factors that do not")
     return matrix
@@ -218,11 +214,11 @@ def _halts(items: Sequence[Item], cell: Cell, plan: Plan, axes: _Axes, maker: Ma
     monitored = Monitored.of(chain_of(cell), nominal_parameters(cell), tool_point(cell))
     q = np.stack([one.q for one in items])
     values = q @ axes.matrix.T
-    order = [axis for axis in (*maker.axes, *maker.further) if axis in axes.names]
     anywhere = monitored.lever @ (np.abs(np.linalg.inv(axes.matrix)) @ axes.fastest)  # m/s, all axes at once
-    unit, bound = 100.0 if maker.speed == "%" else 1.0, 0.0
-    first = max(math.floor(unit * limits.allowed / float(anywhere.max()) / maker.step) * maker.step, maker.step)
-    found = []
+    share = limits.allowed / float(anywhere.max()) * (100.0 if maker.speed == "%" else 1.0)
+    first = max(math.floor(share / maker.step) * maker.step, maker.step)
+    order = lambda one: (*maker.axes, *maker.further).index(one[0])  # noqa: E731
+    found, bound = [], 0.0
     for k, item in enumerate(items):
         speed = None if maker.speed == "s" else first
         if k:
@@ -236,11 +232,10 @@ def _halts(items: Sequence[Item], cell: Cell, plan: Plan, axes: _Axes, maker: Ma
                 slowest = f"{1e3 * each * pace:.0f} mm/s on the way to configuration {item.number} at {speed:g} %"
                 raise InputError("pendant", "--axis-speeds", slowest, f"{1e3 * limits.allowed:.0f} mm/s at most")
             bound = max(bound, each * pace)
-        written = {}
-        for axis in order:
-            i = axes.names.index(axis)
-            digits = DIGITS[axes.units[i]]
-            written[axis] = f"{round(float(values[k, i]), digits) + 0.0:.{digits}f}", axes.units[i]
+        written = {
+            axis: (f"{round(float(value), DIGITS[unit]) + 0.0:.{DIGITS[unit]}f}", unit)
+            for axis, value, unit in sorted(zip(axes.names, values[k], axes.units, strict=True), key=order)
+        }
         what, short = _described(item, plan)
         place = f"{k + 1} of {len(items)}"
         found.append(Halt(written, speed, f"stop {place}: {what}", f"{place.replace(' of ', '/')} {short}"[:24]))
@@ -296,13 +291,13 @@ def _remarks(cell: Cell, digest: Mapping[str, str], fastest: str) -> list[str]:
     return [plain(line) for line in lines]
 
 
-def _notes(plan: Plan, maker: Maker, *, coupled: bool) -> list[str]:
+def _notes(plan: Plan, maker: Maker, *, counted_otherwise: bool) -> list[str]:
     """Return what the operator must know besides."""
     notes = [
         "manual reduced speed only: nothing but the hand on the enabling device stops the robot",
         "before the first start: jog near the first stop, set the payload, and compare the display with /joint_states",
     ]
-    if coupled:
+    if counted_otherwise:
         notes.append("coupled joints are written as the controller counts them, not as the robot file does")
     if maker.speed == "%":
         notes.append("the speeds rest on --axis-speeds: compare them with the data sheet of this robot")

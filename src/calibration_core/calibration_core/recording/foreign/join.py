@@ -87,7 +87,7 @@ def import_files(
     _refuse_twice(whole, others)
     q_rows = _matched(rows, joints, how, account, ANGLES)
     names = sorted((name for name in joints.numbers if JOINT.fullmatch(name)), key=lambda name: int(name[1:]))
-    q = np.column_stack(_coupled({name: joints.numbers[name][q_rows] for name in names}, how, joints.path, account))
+    q = np.column_stack(coupled({name: joints.numbers[name][q_rows] for name in names}, how, joints.path, account))
     force = None
     w_rows = q_rows
     if wrench is not None:
@@ -101,8 +101,12 @@ def import_files(
     return Imported(_readings(rows, q, force, more, paths, account), sources, tuple(account))
 
 
-def _coupled(stated: Mapping[str, Float1D], how: ImportMap, path: Path, account: list[str]) -> list[Float1D]:
-    """Return the angles of the chain: those of the file, with what a map says of the others' in them."""
+def coupled(stated: Mapping[str, Float1D], how: ImportMap, path: Path, account: list[str]) -> list[Float1D]:
+    """Return the angles of the chain: those of the file, with what a map says of the others' in them.
+
+    Raises:
+        RecordingError: The map names joints that the file does not have.
+    """
     for name, parts in how.joint_coupling.items():
         unknown = [one for one in (name, *parts) if one not in stated or name in parts]
         if unknown:
