@@ -192,7 +192,6 @@ SIMULATED_CELL = Tree(
             "simulated_cell",
             {
                 **CELL_FILE,
-                "use_sim_time": True,
                 "clock": True,
                 "speed": Given("speed"),
                 "seed": Given("seed"),

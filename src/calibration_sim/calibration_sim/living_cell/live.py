@@ -194,8 +194,8 @@ class LiveCell:
         return np.asarray(self._rest(self.load)[0] + swing * self._ringing)
 
     def wrench(self) -> Float1D:
-        """Return what a perfect force/torque sensor reports now, (6,) N and N*m."""
-        return self._rest(self.load)[1]
+        """Return what a perfect force/torque sensor reports now, (6,) N and N*m; without a load, nothing."""
+        return self._rest(self.load)[1] if self.load.any() else np.zeros(6)
 
     def _rest(self, load: Float1D) -> tuple[Float2D, Float1D]:
         """Return points (p, 3) and reported wrench (6,) at rest at the present angles under a load."""

@@ -26,6 +26,7 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Header, String
@@ -33,6 +34,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError, quoted
+from calibration_core.recording.messages.kinds import StreamKind
+from calibration_core.recording.messages.layout import Mould
 from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D
 from calibration_sim.cell.streams import START, Rates
 from calibration_sim.cell.truth import SPREADS, Truth, draw_truth, nominal_truth
@@ -112,7 +115,11 @@ class SimulatedCell(Node):
         return beam
 
     def _interfaces(self) -> None:
-        topics, node = self.cell.topics, self
+        topics, node, names = self.cell.topics, self, self.cell.robot.joints
+        joints = JointState(name=names, position=[0.0] * len(names))
+        wrench = WrenchStamped(header=Header(frame_id="force_torque"))
+        self._joint_mould = Mould(StreamKind.JOINTS, serialize_message(joints))
+        self._wrench_mould = Mould(StreamKind.WRENCH, serialize_message(wrench))
         self._joints = node.create_publisher(JointState, topics.joint_states.lstrip("/"), STREAM)
         self._points = {p: node.create_publisher(PointStamped, f"input/{p}", STREAM) for p in self.cell.points}
         self._wrench = node.create_publisher(WrenchStamped, "input/wrench", STREAM)
@@ -207,8 +214,11 @@ class SimulatedCell(Node):
 
     def stamp(self, ahead: float = 0.0) -> Time:
         """Return the time that the cell's messages carry, by a clock that is so many s ahead."""
-        now = self._epoch + round((self.live.time + self.faults.value(Kind.CLOCK_JUMP, 0.0) + ahead) * NANOSECONDS)
+        now = self._stamp_ns(ahead)
         return Time(sec=now // NANOSECONDS, nanosec=now % NANOSECONDS)
+
+    def _stamp_ns(self, ahead: float = 0.0) -> int:
+        return self._epoch + round((self.live.time + self.faults.value(Kind.CLOCK_JUMP, 0.0) + ahead) * NANOSECONDS)
 
     def _header(self, frame: str = "") -> Header:
         return Header(stamp=self.stamp(), frame_id=frame)
@@ -223,7 +233,7 @@ class SimulatedCell(Node):
         if not self.faults.on(Kind.JOINTS_FROZEN):
             self._frozen = self.live.q.tolist()
         position = [float("nan")] * len(self._frozen) if self.faults.on(Kind.JOINTS_NOT_FINITE) else self._frozen
-        self._joints.publish(JointState(header=self._header(), name=list(self.cell.robot.joints), position=position))
+        self._joints.publish(self._joint_mould.cast(self._stamp_ns(), position))
 
     def _send_points(self) -> None:
         places, on = self._shown_places(), self.faults.on
@@ -264,7 +274,7 @@ class SimulatedCell(Node):
         shown[:3] += self.faults.value(Kind.WRENCH_OFFSET, 0.0)
         if self.faults.on(Kind.WRENCH_NOT_FINITE):
             shown[:] = np.nan
-        self._wrench.publish(WrenchStamped(header=self._header("force_torque"), wrench=wrench_message(shown)))
+        self._wrench.publish(self._wrench_mould.cast(self._stamp_ns(), shown.tolist()))
 
     def _send_state(self, *, always: bool) -> None:
         if self.faults.on(Kind.MODE_STALE):

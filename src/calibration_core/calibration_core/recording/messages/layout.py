@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,11 @@ from calibration_core.recording.storage.batch import Batch, Bytes
 from calibration_core.timeseries import NANOSECONDS, Bool1D, Int1D
 
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+STAMP = struct.Struct("<iI")
 _STAMP = 4
 _FRAME = 12
 MAX_JOINTS = 256
+SPARE = 16  # bytes, by which rclpy takes a serialised message for longer than it is: what it may need for alignment
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -120,10 +123,11 @@ def layout_of(kind: StreamKind, payload: bytes, joints: tuple[str, ...] = ()) ->
     except (ValueError, struct.error):
         return None
     if positions != count or not set(joints) <= set(names):
-        layout = _finish(cursor, (begin, 0), (), None, frame)
+        layout = _finish(cursor, (begin, positions), (), None, frame)
         return None if layout is None else dataclasses.replace(layout, usable=False, names=names)
     pick = tuple(names.index(joint) for joint in joints)
-    return _finish(cursor, (begin, positions), pick, efforts if n_efforts == count else None, frame)
+    layout = _finish(cursor, (begin, positions), pick, efforts if n_efforts == count else None, frame)
+    return None if layout is None else dataclasses.replace(layout, names=names)
 
 
 def _finish(
@@ -139,6 +143,30 @@ def _finish(
             constants.append((begin, f"<u{size}", number))
             begin += size
     return Layout(len(cursor.payload), tuple(constants), values, pick, efforts, frame)
+
+
+class Mould:
+    """Serialises messages of one shape: a first one is kept, and its stamp and numbers are replaced."""
+
+    def __init__(self, kind: StreamKind, payload: bytes) -> None:
+        """Take the first one, little-endian CDR of its kind; rclpy leaves bytes that mean nothing behind its end.
+
+        Raises:
+            ValueError: It is something else.
+        """
+        cut = (payload[: len(payload) - spare] for spare in range(0, SPARE + 1, 4))
+        layout = next(filter(None, (layout_of(kind, one) for one in cut)), None)
+        if layout is None:
+            msg = f"no little-endian {kind.value}"
+            raise ValueError(msg)
+        self._bytes, self._at = bytearray(payload[: layout.length]), layout.values[0]
+        self._numbers = struct.Struct(f"<{layout.values[1]}d")
+
+    def cast(self, stamp: int, values: Sequence[float]) -> bytes:
+        """Return a message of a stamp, ns, and as many numbers as the first one has: of joint states the positions."""
+        STAMP.pack_into(self._bytes, _STAMP, *divmod(stamp, NANOSECONDS))
+        self._numbers.pack_into(self._bytes, self._at, *values)
+        return bytes(self._bytes)
 
 
 class MessageRows:
