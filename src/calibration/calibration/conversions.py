@@ -28,7 +28,8 @@ from calibration_core.recording.messages.kinds import StreamKind
 from calibration_core.recording.messages.layout import Layout, layout_of
 from calibration_core.timeseries import NANOSECONDS, Float1D, Float2D, Phase
 
-STAMP, HEAD = struct.Struct("<iI"), 12  # of a serialised message with a header: its stamp, and what follows it
+STAMP = struct.Struct(">iI"), struct.Struct("<iI")  # of a serialised message with a header, big- or little-endian: ...
+HEAD = 12  # ... s and ns, and what follows them
 LENGTH_UNITS: Mapping[str, float] = {"m": 1.0, "mm": 1e-3, "inch": 0.0254}
 FORCE_UNITS: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605}
 TORQUE_UNITS: Mapping[str, float] = {"N*m": 1.0, "N*mm": 1e-3, "kN*m": 1e3, "lbf*in": 0.1129848290276167}
@@ -137,19 +138,16 @@ def transforms(message: Any, targets: Mapping[str, str], unit: float) -> dict[st
     return found
 
 
-def wrench_values(wrench: Any, force_unit: float = 1.0, torque_unit: float = 1.0) -> Float1D:
-    """Return (6,) N and N*m of a `geometry_msgs/Wrench`."""
-    return np.array(
-        [*(force_unit * one for one in _xyz(wrench.force)), *(torque_unit * one for one in _xyz(wrench.torque))]
-    )
+def wrench_values(wrench: Any) -> Float1D:
+    """Return the (6,) numbers of a `geometry_msgs/Wrench`."""
+    return np.array([*_xyz(wrench.force), *_xyz(wrench.torque)])
 
 
-def wrench_sample(message: Any, force_unit: float, torque_unit: float) -> Sample:
-    """Return the sample in a `geometry_msgs/WrenchStamped` or `geometry_msgs/Wrench` (without stamp and frame)."""
+def wrench_sample(message: Any) -> Sample:
+    """Return the sample in a `geometry_msgs/WrenchStamped` or `Wrench` (without stamp and frame), in its units."""
     if not hasattr(message, "header"):
-        return Sample(0, "", wrench_values(message, force_unit, torque_unit))
-    values = wrench_values(message.wrench, force_unit, torque_unit)
-    return Sample(stamp_ns(message.header.stamp), message.header.frame_id, values)
+        return Sample(0, "", wrench_values(message))
+    return Sample(stamp_ns(message.header.stamp), message.header.frame_id, wrench_values(message.wrench))
 
 
 WRENCH_INPUTS: Mapping[str, str] = {
@@ -167,30 +165,69 @@ def joint_positions(message: Any, joints: tuple[str, ...]) -> Float1D | None:
     return np.array([message.position[index[name]] for name in joints])
 
 
-class JointReader:
-    """Reads serialised `sensor_msgs/JointState` of one driver, some ten times faster than rclpy makes a message."""
+def stamp_of(payload: bytes) -> int:
+    """Return the stamp, ns, of a serialised message whose first field is a header."""
+    seconds, nanoseconds = STAMP[payload[1] & 1].unpack_from(payload, 4)
+    return int(seconds) * NANOSECONDS + int(nanoseconds)
 
-    def __init__(self, joints: tuple[str, ...]) -> None:
-        """Take the names, in the order of the angles."""
-        self._joints = joints
+
+class _Reader:
+    """Reads serialised messages of one shape, some ten times faster than rclpy makes a message of each."""
+
+    def __init__(self, kind: StreamKind, joints: tuple[str, ...] = ()) -> None:
+        self._kind, self._joints = kind, joints
         self._layout: Layout | None = None
         self._head = b""
 
-    def read(self, payload: bytes) -> tuple[int, Float1D] | None:
-        """Return stamp, ns, and (n,) rad; None if a joint is missing."""
+    def _numbers(self, payload: bytes) -> tuple[Layout, Float1D] | None:
+        """Return the shape of a message and its numbers; None where it is of another byte order."""
         layout = self._layout
         if layout is None or (len(payload), payload[HEAD : layout.values[0]]) != (layout.length, self._head):
-            layout = self._layout = layout_of(StreamKind.JOINTS, payload, self._joints)
-            if layout is None:  # of another byte order
-                message = deserialize_message(payload, JointState)
-                q = joint_positions(message, self._joints)
-                return None if q is None else (stamp_ns(message.header.stamp), q)
+            layout = self._layout = layout_of(self._kind, payload, self._joints)
+            if layout is None:
+                return None
             self._head = payload[HEAD : layout.values[0]]
-        if not layout.usable:
-            return None
-        seconds, nanoseconds = STAMP.unpack_from(payload, 4)
-        q = np.frombuffer(payload, "<f8", layout.values[1], layout.values[0])[list(layout.pick)]
-        return seconds * NANOSECONDS + nanoseconds, q
+        return layout, np.frombuffer(payload, "<f8", layout.values[1], layout.values[0])
+
+
+class JointReader(_Reader):
+    """Reads `sensor_msgs/JointState` of one driver.
+
+    Attributes:
+        names: The joints whose positions were in the last message.
+    """
+
+    def __init__(self, joints: tuple[str, ...]) -> None:
+        """Take the names, in the order of the angles."""
+        super().__init__(StreamKind.JOINTS, joints)
+        self.names: tuple[str, ...] = ()
+
+    def read(self, payload: bytes) -> tuple[int, Float1D] | None:
+        """Return stamp, ns, and (n,) rad; None if a joint is missing."""
+        found = self._numbers(payload)
+        if found is None:
+            message = deserialize_message(payload, JointState)
+            self.names = tuple(message.name[: len(message.position)])
+            q = joint_positions(message, self._joints)
+            return None if q is None else (stamp_ns(message.header.stamp), q)
+        layout, numbers = found
+        self.names = layout.names[: layout.values[1]]
+        return (stamp_of(payload), numbers[list(layout.pick)]) if layout.usable else None
+
+
+class WrenchReader(_Reader):
+    """Reads `geometry_msgs/WrenchStamped` of one driver."""
+
+    def __init__(self) -> None:
+        """Begin with no message."""
+        super().__init__(StreamKind.WRENCH)
+
+    def read(self, payload: bytes) -> Sample:
+        """Return the sample, in the message's units."""
+        found = self._numbers(payload)
+        if found is None:
+            return wrench_sample(deserialize_message(payload, WrenchStamped))
+        return Sample(stamp_of(payload), found[0].frame, found[1])
 
 
 # --- messages that go out -----------------------------------------------------------------------------------------

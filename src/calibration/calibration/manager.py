@@ -10,7 +10,6 @@ import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,7 @@ from rclpy.qos import QoSProfile
 from calibration.cell.watches import SILENT
 from calibration.conversions import to_header
 from calibration.node import FRESH, LEASE, QOS, TOPIC, CalibrationNode, Declared, run
+from calibration.rclpy_gaps import Waiting
 from calibration.topics import (
     CONDITIONS_QUALITY,
     PERMISSION,
@@ -338,36 +338,32 @@ class ManagerNode(CalibrationNode):
         self._reported: dict[str, object] = {}
         self._sent = -math.inf
         self._publisher = self.create_publisher(STATE.message, STATE.relative, STATE.qos)
-        self.create_subscription(NodeHealth, TOPIC, self._on_health, QOS)
-        for topic, field in (
-            (PROCEDURE, "procedure"),
-            (PERMISSION, "permission"),
-            (ROBOT_STATE, "robot"),
-            (PROGRESS, "progress"),
-        ):
-            self.create_subscription(topic.message, topic.relative, partial(self._on_part, field), topic.qos)
-        conditions = cell.topics.conditions.lstrip("/")
-        self.create_subscription(
-            Conditions, conditions, partial(self._on_part, "conditions"), profile(CONDITIONS_QUALITY)
-        )
-        self.create_subscription(SAMPLE_CHECK.message, SAMPLE_CHECK.relative, self.whole.hear_stream, SAMPLE_CHECK.qos)
+        parts = {"procedure": PROCEDURE, "permission": PERMISSION, "robot": ROBOT_STATE, "progress": PROGRESS}
+        conditions, kept = cell.topics.conditions.lstrip("/"), profile(CONDITIONS_QUALITY)
+        self._parts = {name: Waiting(self, one.message, one.relative, one.qos) for name, one in parts.items()}
+        self._parts["conditions"] = Waiting(self, Conditions, conditions, kept)
+        self._signs = Waiting(self, NodeHealth, TOPIC, QOS)
+        self._checks = Waiting(self, SAMPLE_CHECK.message, SAMPLE_CHECK.relative, SAMPLE_CHECK.qos)
         now = QoSProfile(depth=100)  # what was said before belongs to no run under way
-        self.create_subscription(READING.message, READING.relative, self._on_reading, now)
+        self._readings = Waiting(self, READING.message, READING.relative, now)
         self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     # --- what is heard -----------------------------------------------------------------------------------------------
 
-    def _on_part(self, field: str, message: Any) -> None:
-        self.whole.hear(field, message, time.monotonic())
-
-    def _on_reading(self, message: Any) -> None:
-        self.whole.hear_reading(message, time.monotonic())
-
-    def _on_health(self, message: NodeHealth) -> None:
-        if self.whole.hear_node(message, time.monotonic()):
-            self.get_logger().info(f"{message.name} is heard: process {message.process} on {message.computer}")
+    def _take(self) -> None:
+        for field, messages in self._parts.items():
+            for message, arrived, _ in messages.arrivals():
+                self.whole.hear(field, message, arrived)
+        for message, arrived, _ in self._signs.arrivals():
+            if self.whole.hear_node(message, arrived):
+                self.get_logger().info(f"{message.name} is heard: process {message.process} on {message.computer}")
+        for message in self._checks.take():
+            self.whole.hear_stream(message)
+        for message, arrived, _ in self._readings.arrivals():
+            self.whole.hear_reading(message, arrived)
 
     def _look(self) -> None:
+        self._take()
         now = time.monotonic()
         for name in self.whole.silent(now):
             self.get_logger().error(f"{name} is silent: {MISSED.get(name, 'it does not work')}")

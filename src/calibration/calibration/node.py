@@ -36,10 +36,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 from calibration.conversions import to_stamp
 from calibration.process_tree import UNUSABLE, Parent, on_end
-from calibration.rclpy_gaps import RCLError, given_parameters
+from calibration.rclpy_gaps import NEVER, PolledClock, RCLError, Waiting, given_parameters
 from calibration.transport import sockets_only
 from calibration_core.errors import InputError, quoted
 from calibration_core.files.yaml_file import read_yaml
@@ -74,21 +75,23 @@ class Health:
             identifier=self.identifier, since=time.time_ns(),
         )  # fmt: skip
         self._publisher = node.create_publisher(NodeHealth, TOPIC, QOS)
-        if node.OWNER:
-            node.create_subscription(NodeHealth, TOPIC, self._on_health, QOS)
+        self._others = Waiting(node, NodeHealth, TOPIC, QOS) if node.OWNER else None
         node.create_timer(PERIOD, self.send, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def send(self) -> None:
         """Send the health as it is now."""
+        self.look()
         self._own.level, self._own.text = self._node.diagnostics.worst
         self._own.stamp = to_stamp(time.time_ns())
         self._publisher.publish(self._own)
 
-    def _on_health(self, message: Any) -> None:
-        if message.role == self._own.role and message.identifier != self.identifier:
-            own, other = self._own, message
-            younger = (own.since, own.identifier) > (other.since, other.identifier)
-            self._node.on_second(words(message), younger)
+    def look(self) -> None:
+        """See whether another node of this kind is heard; at every tick of those that move or permit."""
+        for message in [] if self._others is None else self._others.take():
+            if message.role == self._own.role and message.identifier != self.identifier:
+                own, other = self._own, message
+                younger = (own.since, own.identifier) > (other.since, other.identifier)
+                self._node.on_second(words(message), younger)
 
 
 def words(message: Any) -> str:
@@ -212,6 +215,7 @@ class CalibrationNode(Node):
     """
 
     OWNER = ""
+    _polled_clock: PolledClock | None = None  # of a simulation
 
     def __init__(self, name: str, parameters: Sequence[Declared], **kwargs: Any) -> None:
         """Declare the parameters, and make what the node consists of.
@@ -285,6 +289,8 @@ class CalibrationNode(Node):
 
     def now_ns(self) -> int:
         """Return the node's time, ns: the simulation's where `use_sim_time` is set."""
+        if self._polled_clock is not None:
+            self._polled_clock.look()
         return int(self.get_clock().now().nanoseconds)
 
     def on_second(self, words: str, younger: bool) -> None:
@@ -308,11 +314,15 @@ class CalibrationNode(Node):
         return super().create_publisher(*args, event_callbacks=events, **more)
 
     def create_subscription(
-        self, *args: Any, event_callbacks: SubscriptionEventCallbacks | None = None, **more: Any
+        self, kind: Any, *args: Any, event_callbacks: SubscriptionEventCallbacks | None = None, **more: Any
     ) -> Any:
         """Make a subscription; without the events that rclpy makes for each by itself: they cost half of every wake."""
         events = event_callbacks or SubscriptionEventCallbacks(use_default_callbacks=False)
-        return super().create_subscription(*args, event_callbacks=events, **more)
+        if kind is not ClockMessage:
+            return super().create_subscription(kind, *args, event_callbacks=events, **more)
+        clock = super().create_subscription(kind, *args, event_callbacks=events, callback_group=NEVER, **more)
+        self._polled_clock = PolledClock(clock)
+        return clock
 
     def create_action_server(
         self,
@@ -346,7 +356,7 @@ class Diagnostics:
 
     LEVELS = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: CalibrationNode) -> None:
         """Start publishing."""
         self._node = node
         self._status: dict[str, DiagnosticStatus] = {}
@@ -391,7 +401,7 @@ class Diagnostics:
     def publish(self) -> None:
         """Send everything known, the node's state first."""
         message = DiagnosticArray(status=[self.state, *self._status.values()])
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = to_stamp(self._node.now_ns())
         self._publisher.publish(message)
 
 

@@ -5,12 +5,14 @@ An executor with one thread carries the streams; whoever waits must not hold it.
 callbacks of the same group would wait as well.
 
 An executor that is woken for every sample of a fast stream does little else.  `Waiting` never wakes it: what has come
-is taken on the tick of whoever listens.
+is taken on the tick of whoever listens.  An executor that was held up runs its timers first, and what waits meanwhile
+after them: whoever decides by a timer how old a message is has to take what waits himself, or it would look late.
 """
 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
@@ -21,8 +23,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
-__all__ = ["IN_A_TURN", "Background", "Once", "RCLError", "Waiting", "given_parameters", "hidden", "in_executor",
-           "waiting"]  # fmt: skip
+__all__ = ["IN_A_TURN", "NEVER", "Background", "Once", "PolledClock", "RCLError", "Waiting", "given_parameters",
+           "hidden", "in_executor", "waiting"]  # fmt: skip
 
 T = TypeVar("T")
 IN_A_TURN = 100  # samples that are taken before anything else has its turn
@@ -78,6 +80,9 @@ class _Polled(CallbackGroup):
         """Nothing ever ends."""
 
 
+NEVER = _Polled()  # the group of what never wakes the executor
+
+
 class Waiting:
     """A subscription that never wakes the executor: what it holds is taken when somebody looks."""
 
@@ -91,12 +96,41 @@ class Waiting:
             quality: Profile; its depth is what can wait.
             raw: Whether messages stay bytes, as CDR.
         """
-        more: dict[str, Any] = {"callback_group": _Polled(), "raw": raw}
-        self._subscription = node.create_subscription(kind, name, lambda _message: None, quality, **more)
+        more: dict[str, Any] = {"callback_group": NEVER, "raw": raw}
+        self.subscription = node.create_subscription(kind, name, lambda _message: None, quality, **more)
+        self._looked = time.monotonic()
 
     def take(self, most: int = IN_A_TURN) -> list[Any]:
         """Return what has come since the last look, in its order, at most so many messages."""
-        return [message for message, _ in waiting(self._subscription, most)]
+        return [message for message, _ in waiting(self.subscription, most)]
+
+    def arrivals(self, most: int = IN_A_TURN) -> Iterator[tuple[Any, float, int | None]]:
+        """Take what has come since the last look, in its order, at most so many messages.
+
+        Yields:
+            A message; when it arrived, s of the steady clock; the number that its publisher gave it, None where the
+            middleware does not tell.  The middleware knows the arrival by the clock of the day, which may be set:
+            beyond the last look and this one, it is not believed.
+        """
+        before, self._looked = self._looked, time.monotonic()
+        to_steady = self._looked - time.time()
+        for message, info in waiting(self.subscription, most):
+            arrived = 1e-9 * info["received_timestamp"] + to_steady
+            yield message, min(max(arrived, before), self._looked), info["publication_sequence_number"]
+
+
+class PolledClock:
+    """A simulation's `/clock`, looked at when somebody asks for the time: it would wake each node for every tick."""
+
+    def __init__(self, subscription: Any) -> None:
+        """Take the subscription of rclpy's own time source."""
+        self._subscription, self._lock = subscription, threading.Lock()
+
+    def look(self) -> None:
+        """Hand what has come to the time source; from any thread."""
+        with self._lock:
+            for message, _ in waiting(self._subscription):
+                self._subscription.callback(message)
 
 
 # --- threads ----------------------------------------------------------------------------------------------------------

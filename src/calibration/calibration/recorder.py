@@ -1,8 +1,8 @@
 """Node `recorder`: every topic of the table to a bag, as raw bytes, on the disk within a fraction of a second.
 
-Callbacks only append; a thread of its own opens, writes, syncs and closes bags.  `~/close` ends the bag's file, so that
-it can be evaluated while the node lives on; `~/open` continues the bag with a further file.  `~/hears` tells whether
-every instrument that publishes would be heard: what is measured before that would be missing in the bag.
+A tick only takes what has come; a thread of its own opens, writes, syncs and closes bags.  `~/close` ends the bag's
+file, so that it can be evaluated while the node lives on; `~/open` continues the bag with a further file.  `~/hears`
+tells whether every instrument that publishes would be heard: what is measured before that would be missing in the bag.
 
 Where the bag is, the session decides that is measured: `~/record` closes the present bag and goes on in the session's.
 Twenty times a second the recorder says what it does; whoever measures and does not hear that stops.  A bag that cannot
@@ -18,7 +18,6 @@ import math
 import os
 import queue
 import re
-import struct
 import sys
 import threading
 import time
@@ -33,12 +32,13 @@ from rclpy.clock import Clock, ClockType
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
-from calibration.conversions import stamp_ns, to_header, to_outcome
+from calibration.conversions import stamp_ns, stamp_of, to_header, to_outcome
 from calibration.node import CalibrationNode, Declared, run
-from calibration.rclpy_gaps import Background, in_executor, waiting
+from calibration.rclpy_gaps import Background, Waiting, in_executor
 from calibration.topics import (
     READING,
     RECORDING,
+    SAMPLES_DEPTH,
     Quality,
     Topic,
     contract_topics,
@@ -106,13 +106,11 @@ def _text(kind: str) -> str | None:
     return None
 
 
-LOOK = 0.05  # s of wall time between looks for new publishers
+TICK = 0.05  # s of wall time, after which what has come is taken, new publishers are looked for, and a sign is given
 THOROUGH = 1.0  # s of wall time between looks at what all publishers offer
 DRAIN = 2.0  # s of wall time, the executor may take until what has arrived is taken, when the node ends
-SIGN = 0.05  # s of wall time between two signs of life
 SYNC_PERIOD = 0.25  # s of wall time after which what came is on the disk
 AGAIN = 2.0  # s of wall time, after which a bag that could not be written is tried again
-STAMP = {True: struct.Struct("<iI"), False: struct.Struct(">iI")}  # little-endian or not: s and ns of a header in CDR
 
 PARAMETERS = (
     Declared("cell", "", "The cell file.", required=True),
@@ -154,7 +152,7 @@ class RecorderNode(CalibrationNode):
         self.create_service(Trigger, "~/close", self._on_close, callback_group=waiting)
         self.create_service(Trigger, "~/open", self._on_open, callback_group=waiting)
         self.create_service(Trigger, "~/hears", self._on_hears)
-        self._heard: dict[str, tuple[Any, Any]] = {}
+        self._heard: dict[str, tuple[Waiting, Any]] = {}
         self._counted: dict[str, int] = {}
         self._looked = -math.inf  # s of the monotonic clock
         self._written = time.monotonic()  # when everything that had come was last on the disk
@@ -163,8 +161,7 @@ class RecorderNode(CalibrationNode):
         self._leaving = False
         self._writer = threading.Thread(target=self._write_on, name="writer", daemon=True)
         self._writer.start()
-        self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.create_timer(SIGN, self._sign, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._look()
 
@@ -173,6 +170,11 @@ class RecorderNode(CalibrationNode):
         self._numbers, self._lost = {}, ""
 
     # --- what comes in ----------------------------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        self._drain()
+        self._look()
+        self._sign()
 
     def _look(self) -> None:
         """Subscribe to what is published; our own topics at once, for their quality is known.
@@ -190,29 +192,22 @@ class RecorderNode(CalibrationNode):
             self._counted[topic.name] = count
             offered = self.get_publishers_info_by_topic(topic.relative)
             if topic.name in self._heard:
-                subscription, asked = self._heard[topic.name]
+                messages, asked = self._heard[topic.name]
                 if not offered or not incompatible(self, topic.relative, asked):
                     continue
-                self.destroy_subscription(subscription)
+                self.destroy_subscription(messages.subscription)
             elif not offered and topic.quality is Quality.SAMPLES:
                 continue
             profile = subscription_profile(self, topic.relative) if offered else topic.qos
-            subscription = self.create_subscription(
-                topic.message, topic.relative, self._taker(topic), profile, raw=True
-            )
-            self._heard[topic.name] = (subscription, profile)
+            profile.depth = SAMPLES_DEPTH
+            messages = Waiting(self, topic.message, topic.relative, profile, raw=True)
+            self._heard[topic.name] = (messages, profile)
 
-    def _taker(self, topic: Topic) -> Callable[[bytes], None]:
-        def take(payload: bytes) -> None:
-            if topic.name not in self._infos:
-                self._infos[topic.name] = self._info(topic)
-            if topic.name in self._session_topics and stamp_of(payload) < self._since:
-                return  # of an earlier session: who comes late gets everything that was announced
-            if topic is READING and self._of_another(deserialize_message(payload, topic.message).session):
-                return
-            self._queue.append((topic, self.now_ns(), payload))
-
-        return take
+    def _wanted(self, topic: Topic, payload: bytes) -> bool:
+        """Tell whether a message is recorded."""
+        if topic.name in self._session_topics and stamp_of(payload) < self._since:
+            return False  # of an earlier session: who comes late gets everything that was announced
+        return topic is not READING or not self._of_another(deserialize_message(payload, topic.message).session)
 
     def _of_another(self, session: str) -> bool:
         """Tell whether a reading is of another session than the one that is recorded; it is told once."""
@@ -224,10 +219,21 @@ class RecorderNode(CalibrationNode):
         return True
 
     def _drain(self) -> None:
-        """Take what has arrived and waits for its turn: whoever asks to close the bag sent it all before."""
-        for subscription, _ in self._heard.values():
-            for payload, _ in waiting(subscription, sys.maxsize):
-                subscription.callback(payload)
+        """Take what has arrived; whoever asks to close the bag sent it all before.
+
+        A message counts as received when it arrived; before the first word of a simulated clock, at no time.
+        """
+        clock, now = self.now_ns(), time.monotonic()
+        came: list[Item] = []
+        for topic in self._topics:
+            if topic.name not in self._heard:
+                continue
+            for payload, arrived, _ in self._heard[topic.name][0].arrivals(SAMPLES_DEPTH):
+                if topic.name not in self._infos:
+                    self._infos[topic.name] = self._info(topic)
+                if self._wanted(topic, payload):
+                    came.append((topic, clock and clock - round((now - arrived) * NANOSECONDS), payload))
+        self._queue.extend(sorted(came, key=lambda one: one[1]))
 
     def _info(self, topic: Topic) -> LiveTopic:
         offered = self.get_publishers_info_by_topic(topic.relative)
@@ -351,7 +357,7 @@ class RecorderNode(CalibrationNode):
         kept = [topic.name for topic in self._topics if topic.quality in (Quality.STATE, Quality.EVENTS)]
         for name in kept:
             if name in self._heard:
-                self.destroy_subscription(self._heard.pop(name)[0])
+                self.destroy_subscription(self._heard.pop(name)[0].subscription)
         self._looked = -math.inf
         self._look()
 
@@ -397,7 +403,7 @@ class RecorderNode(CalibrationNode):
 
     def _matched(self, topic: Topic) -> int:
         """Return from how many publishers a sample would come: a tracker that has to be aimed sends none before."""
-        return self._heard[topic.name][0].get_publisher_count() if topic.name in self._heard else 0
+        return self._heard[topic.name][0].subscription.get_publisher_count() if topic.name in self._heard else 0
 
     def _sign(self) -> None:
         bag = self._bag
@@ -444,12 +450,6 @@ class RecorderNode(CalibrationNode):
             self._asked.get()()
         if wrong := self._close_bag():
             self.get_logger().error(wrong)
-
-
-def stamp_of(payload: bytes) -> int:
-    """Return the stamp, ns, of a message whose first field is a header, as CDR with its encapsulation header."""
-    seconds, nanoseconds = STAMP[bool(payload[1] & 1)].unpack_from(payload, 4)
-    return int(seconds) * NANOSECONDS + int(nanoseconds)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -9,14 +9,12 @@ import dataclasses
 import enum
 import functools
 import importlib
-from collections.abc import Callable, Mapping
 from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos import QoSCompatibility as Compatibility
 
-from calibration.rclpy_gaps import IN_A_TURN, waiting
 from calibration_core.cell import Cell
 from calibration_core.errors import InputError, quoted
 from calibration_core.recording.definitions.own import CONDITIONS_TYPE, STEP_TYPE, TEXT_TYPE
@@ -151,52 +149,6 @@ def subscription_profile(node: Node, name: str, depth: int = SAMPLES_DEPTH) -> Q
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
     )
-
-
-def subscribe_to_samples(
-    node: Node,
-    kind: Any,
-    name: str,
-    callback: Callable[..., None],
-    quality: QoSProfile,
-    *,
-    numbered: bool = False,
-    **more: Any,
-) -> Any:
-    """Subscribe to a stream; where several samples wait, all of them are taken in one turn.
-
-    An executor takes one message of every subscription in a turn.  Where turns are longer than the time between two
-    samples, as on a busy machine, the queue would fill and every sample would be as old as the queue is deep.
-
-    Args:
-        node: Who subscribes.
-        kind: Class of the messages.
-        name: Topic.
-        callback: What gets the messages, one at a time, in their order.
-        quality: Profile of the subscription.
-        numbered: Whether the callback gets, besides, the number that the message's publisher gave it.
-        more: Further arguments of `create_subscription`.
-
-    Returns:
-        The subscription.
-    """
-
-    def hand(message: Any, info: Mapping[str, Any]) -> None:
-        if numbered:
-            callback(message, info["publication_sequence_number"])
-        else:
-            callback(message)
-
-    made: list[Any] = []  # the executor may be quicker than the thread that subscribes
-
-    def take(message: Any, info: Mapping[str, Any]) -> None:
-        hand(message, info)
-        if made:
-            for one in waiting(made[0], IN_A_TURN - 1):
-                hand(*one)
-
-    made.append(node.create_subscription(kind, name, take, quality, **more))
-    return made[0]
 
 
 def publishers(node: Node, name: str) -> list[str]:

@@ -44,7 +44,7 @@ class Watch:
         before = self.emergency._watch._heard
         until(self.pulse.get_subscription_count)
         self.pulse.publish(MotionPulse(identity=1, count=next(self.counted), moving=moving))
-        until(lambda: self.emergency._watch._heard > before)
+        until(lambda: self.emergency.take() or self.emergency._watch._heard > before)
 
     def told(self) -> tuple[int, str] | None:
         """Level and text about motions."""

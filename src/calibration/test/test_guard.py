@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -139,6 +140,28 @@ def test_yes_when_all_is_well_and_never_before(spinning: Any, until: Any) -> Non
     until(lambda: len(cell.heard) >= count + 50)
     assert time.monotonic() - began > 0.6
     assert watch.seconds < 1.4
+
+
+@pytest.mark.parametrize("come", [True, False])
+def test_a_guard_that_was_held_up_takes_what_waits_before_it_decides(spinning: Any, until: Any, come: bool) -> None:
+    """Joint states that came meanwhile are as old as they are, and not as old as its last look."""
+    cell = Cell(spinning, max_joints_age=0.4)
+    until(cell.permitted)
+    cell.robot.timer.cancel()
+    told, over = len(cell.heard), threading.Event()
+
+    def hold() -> None:
+        for _ in range(30):
+            if come:
+                cell.robot.send()
+            time.sleep(0.02)
+        cell.robot.timer.reset()
+        over.set()
+
+    cell.guard.executor.create_task(hold)
+    until(over.is_set)
+    until(lambda: len(cell.heard) >= told + 10)
+    assert any(Permission.JOINTS_STALE in one.reasons for one in cell.heard[told:]) is not come
 
 
 FAULTS: list[tuple[int, dict[str, Any]]] = [  # what is heard of the robot, as it differs from a good one that stands

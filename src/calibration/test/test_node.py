@@ -16,11 +16,13 @@ from granted import Granted
 pytest.importorskip("calibration_interfaces.msg", reason="the messages are not built: run make setup")
 
 from action_msgs.msg import GoalStatus
+from builtin_interfaces.msg import Time
 from calibration_interfaces.action import Measure
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from goals import GoalClient
 from rclpy.event_handler import EventHandler, PublisherEventCallbacks
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from stand_ins import finish
 from std_msgs.msg import String
 
@@ -213,6 +215,18 @@ def test_a_wake_carries_no_events_that_nobody_asked_for(spinning: Any) -> None:
     assert not any(isinstance(each, EventHandler) for each in one.waitables)
     heard = one.create_publisher(String, "w", 1, event_callbacks=PublisherEventCallbacks(matched=lambda _: None))
     assert heard.event_handlers
+
+
+def test_the_time_of_a_simulation_is_known_to_whom_nobody_spins(context: Any, spinning: Any, until: Any) -> None:
+    """It would wake every node a hundred times a second."""
+    one = node(context, use_sim_time=True)
+    clock = spinning.plain().create_publisher(Clock, "/clock", 1)
+    until(clock.get_subscription_count)
+    for seconds in (5, 7):
+        clock.publish(Clock(clock=Time(sec=seconds)))
+        until(lambda seconds=seconds: one.now_ns() == seconds * 10**9)
+    one.destroy_node()
+    assert one.now_ns() == 7 * 10**9
 
 
 def test_of_two_of_a_kind_the_younger_one_ends(spinning: Any, until: Callable[..., None]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from calibration_interfaces.srv import ProveStop
 from calibration.conversions import to_outcome
 from calibration.motion.backends import End
 from calibration.motion.prover import FASTEST, REST, SERVICE, Prover
+from calibration.node import CalibrationNode
 
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 
@@ -51,7 +51,12 @@ def test_the_end_of_an_earlier_goal_is_not_that_of_the_next_one(spinning: Any, u
 
     guard.create_service(ProveStop, SERVICE, judge)
     driver = Driver()
-    prover = Prover(spinning.plain("prover"), driver, JOINTS, lambda: (np.zeros(6), np.zeros(6), 0.0))
+    prover = Prover(
+        spinning.add(CalibrationNode("prover", (), context=spinning.context)),
+        driver,
+        JOINTS,
+        lambda: (np.zeros(6), np.zeros(6), 0.0),
+    )
     assert prover._guard is not None
     until(prover._guard.ready)
 
@@ -82,7 +87,8 @@ def test_a_clock_that_stood_still_at_first_does_not_shorten_every_goal(
     spinning: Any, until: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The computer of a simulated robot is busy when a run begins: the next proof knows how fast the clock goes."""
-    guard, node = spinning.plain("guard"), spinning.plain("prover")
+    guard = spinning.plain("guard")
+    node = spinning.add(CalibrationNode("prover", (), context=spinning.context))
 
     def judge(_request: Any, response: Any) -> Any:
         response.outcome = to_outcome(Outcome.TEST_FAILED, "the goal ended before it was cancelled")
@@ -93,8 +99,7 @@ def test_a_clock_that_stood_still_at_first_does_not_shorten_every_goal(
     prover = Prover(node, driver, JOINTS, lambda: (np.zeros(6), np.zeros(6), 0.0))
     assert prover._guard is not None
     until(prover._guard.ready)
-    stand_in = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(1e9 * clock[0])))
-    monkeypatch.setattr(node, "get_clock", lambda: stand_in)
+    monkeypatch.setattr(node, "now_ns", lambda: round(1e9 * clock[0]))
     now = time.monotonic()
 
     def later(seconds: float) -> float:

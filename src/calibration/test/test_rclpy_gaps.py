@@ -22,8 +22,16 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from calibration.rclpy_gaps import IN_A_TURN, Background, RCLError, Waiting, given_parameters, hidden, in_executor
-from calibration.topics import SAMPLES_DEPTH, subscribe_to_samples
+from calibration.rclpy_gaps import (
+    IN_A_TURN,
+    Background,
+    RCLError,
+    Waiting,
+    given_parameters,
+    hidden,
+    in_executor,
+)
+from calibration.topics import SAMPLES_DEPTH
 
 SENT = 3 * IN_A_TURN
 
@@ -54,59 +62,6 @@ def waiting(context: Any, until: Any) -> Any:
     sender.destroy_node()
 
 
-def test_what_waits_is_taken_in_few_turns(context: Any, waiting: Any) -> None:
-    node, send = waiting
-    taken: list[float] = []
-    quality = QoSProfile(depth=SAMPLES_DEPTH)
-    subscribe_to_samples(node, JointState, "joint_states", lambda one: taken.append(one.position[0]), quality)
-    send(SENT)
-    spun(context, node, turns=6)  # half of them may be of the node's own services
-    assert taken == [float(one) for one in range(SENT)]
-
-
-def test_a_turn_ends_however_much_waits(context: Any, waiting: Any) -> None:
-    node, send = waiting
-    taken: list[float] = []
-    quality = QoSProfile(depth=SAMPLES_DEPTH)
-    subscription = subscribe_to_samples(
-        node, JointState, "joint_states", lambda one: taken.append(one.position[0]), quality
-    )
-    send(SENT)
-    with subscription.handle:
-        first = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-    subscription.callback(*first)
-    assert len(taken) == IN_A_TURN
-
-
-def test_a_subscription_that_its_callback_destroys(context: Any, waiting: Any) -> None:
-    node, send = waiting
-    taken: list[float] = []
-
-    def take(one: JointState) -> None:
-        taken.append(one.position[0])
-        node.destroy_subscription(subscription)
-
-    subscription = subscribe_to_samples(node, JointState, "joint_states", take, QoSProfile(depth=SAMPLES_DEPTH))
-    send(SENT)
-    spun(context, node, turns=3)
-    assert taken == [0.0]
-    assert list(node.subscriptions) == []
-
-
-def test_a_sample_may_come_before_the_subscription_is_there() -> None:
-    """The executor is another thread: it may take a sample while the node still subscribes."""
-    taken: list[str] = []
-
-    class Quick:
-        def create_subscription(self, _kind: Any, _name: str, take: Any, _quality: Any, **_more: Any) -> str:
-            take("first", {})
-            return "made"
-
-    quality = QoSProfile(depth=1)
-    assert subscribe_to_samples(Quick(), JointState, "joint_states", taken.append, quality) == "made"  # type: ignore[arg-type]
-    assert taken == ["first"]
-
-
 @pytest.mark.parametrize("raw", [False, True])
 def test_what_waits_wakes_nobody(context: Any, waiting: Any, raw: bool) -> None:
     node, send = waiting
@@ -124,6 +79,39 @@ def test_what_waits_wakes_nobody(context: Any, waiting: Any, raw: bool) -> None:
     assert (len(rest), kept.take()) == (SENT - IN_A_TURN, [])
     last = deserialize_message(rest[-1], JointState) if raw else rest[-1]
     assert last.position[0] == SENT - 1.0
+
+
+def test_what_waits_is_as_old_as_it_is(waiting: Any) -> None:
+    """Whoever looks late, as on a busy machine, knows when it arrived, and what number it had."""
+    node, send = waiting
+    kept = Waiting(node, JointState, "joint_states", QoSProfile(depth=SAMPLES_DEPTH))
+    began = time.monotonic()
+    send(2)
+    sent = time.monotonic()
+    time.sleep(0.3)
+    found = [(one.position[0], arrived, number) for one, arrived, number in kept.arrivals()]
+    assert [(value, number) for value, _, number in found] == [(0.0, 1), (1.0, 2)]
+    assert began <= found[0][1] <= found[1][1] <= sent
+    send(1)
+    ((_, arrived, number),) = kept.arrivals()
+    assert sent + 0.3 <= arrived <= time.monotonic()
+    assert number == 3
+
+
+def test_a_clock_that_was_set_makes_nothing_older_than_the_last_look(
+    waiting: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node, send = waiting
+    kept = Waiting(node, JointState, "joint_states", QoSProfile(depth=SAMPLES_DEPTH))
+    real = time.time
+    for shift in (3600.0, -3600.0):
+        assert list(kept.arrivals()) == []
+        looked = time.monotonic()
+        send(1)
+        monkeypatch.setattr(time, "time", lambda shift=shift: real() + shift)
+        ((_, arrived, _),) = kept.arrivals()
+        monkeypatch.setattr(time, "time", real)
+        assert looked - 0.01 <= arrived <= time.monotonic()
 
 
 def test_a_subscription_that_waits_and_is_destroyed(waiting: Any) -> None:

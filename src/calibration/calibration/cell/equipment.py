@@ -6,10 +6,9 @@ The recorder gets the place of the session's bag, is listened to, and is closed 
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from calibration.asks import Server, Until, wait_until
 from calibration.cell.watches import DescriptionWatch
 from calibration.conversions import to_stamp
 from calibration.node import QOS, TOPIC
+from calibration.rclpy_gaps import Waiting
 from calibration.topics import RECORDING, SAMPLE_CHECK
 
 CALL_TIME = 5.0  # s of wall time, the recorder has to answer, and to hear everything
@@ -62,10 +62,12 @@ class Recorder:
         if name:
             self._record = Server(node, Record, f"{name}/record")
             self._triggers = {what: Server(node, Trigger, f"{name}/{what}") for what in ("hears", "close")}
-            node.create_subscription(RECORDING.message, RECORDING.relative, self._on_state, RECORDING.qos)
+            self._states = Waiting(node, RECORDING.message, RECORDING.relative, RECORDING.qos)
 
-    def _on_state(self, message: Any) -> None:
-        self._state, self._heard = message, time.monotonic()
+    def take(self) -> None:
+        """Take the recorder's signs of life that have come."""
+        for message, arrived, _ in self._states.arrivals() if self.name else ():
+            self._state, self._heard = message, arrived
 
     def missing(self, wait: float, until: Until = wait_until) -> str:
         """Wait for the recorder, and until it hears every instrument that publishes; return what is missing.
@@ -186,10 +188,18 @@ class Equipment:
         for name in [*filter(None, instruments), "identification"]:
             space, slash, own = name.rpartition("/")
             wanted.setdefault(f"{space}{slash}{TOPIC}", {})[own] = name
-        for topic, names in wanted.items():
-            node.create_subscription(NodeHealth, topic, functools.partial(self._on_health, names), QOS)
-        check = SAMPLE_CHECK
-        node.create_subscription(check.message, check.relative, self._on_check, check.qos)
+        self._signs = [(names, Waiting(node, NodeHealth, topic, QOS)) for topic, names in wanted.items()]
+        self._checks = Waiting(node, SAMPLE_CHECK.message, SAMPLE_CHECK.relative, SAMPLE_CHECK.qos)
+
+    def take(self) -> None:
+        """Take what has come; to be called some times in the age of a sign of life."""
+        self._recorder.take()
+        for names, signs in self._signs:
+            for message, arrived, _ in signs.arrivals():
+                if message.name in names:
+                    self._heard[names[message.name]] = arrived
+        for message in self._checks.take():
+            self._on_check(message)
 
     def _on_check(self, message: Any) -> None:
         """Note a stream that two publish: whatever is read of it is nobody's, until one has ended."""
@@ -198,10 +208,6 @@ class Equipment:
             self._two_sources[name] = f"{name}: {message.text}"
         else:
             self._two_sources.pop(name, None)
-
-    def _on_health(self, names: Mapping[str, str], message: Any) -> None:
-        if message.name in names:
-            self._heard[names[message.name]] = time.monotonic()
 
     def fault(self, now: float) -> str:
         """Say who is missing; empty if nobody is.  `now` is s of the steady clock."""

@@ -8,7 +8,6 @@ stopped, too: a guard that was started again may not hear the sequencer, and wou
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 
 from calibration_interfaces.msg import MotionPulse
@@ -16,7 +15,8 @@ from rclpy.qos import QoSProfile
 
 from calibration.motion.stop import StopPath
 from calibration.node import CalibrationNode
-from calibration.topics import MOTION_PULSE, publishers, subscribe_to_samples
+from calibration.rclpy_gaps import Waiting
+from calibration.topics import MOTION_PULSE, publishers
 from calibration_core.motion.motion_watch import MOVES, MotionWatch
 from calibration_core.motion.stop_proof import RequestedStop
 
@@ -42,10 +42,12 @@ class Emergency:
         self._reported = ""
         self._watch = MotionWatch(max_age, can_stop=stop.how is not RequestedStop.NONE)
         every = QoSProfile(depth=100)  # a stranger's signs of life do not push out those of the sequencer
-        subscribe_to_samples(node, MotionPulse, MOTION_PULSE.relative, self._on_pulse, every)
+        self._pulses = Waiting(node, MotionPulse, MOTION_PULSE.relative, every)
 
-    def _on_pulse(self, message: MotionPulse) -> None:
-        self._watch.on_pulse(message.identity, message.count, time.monotonic(), moving=message.moving)
+    def take(self) -> None:
+        """Take the signs of life that have come."""
+        for message, arrived, _ in self._pulses.arrivals():
+            self._watch.on_pulse(message.identity, message.count, arrived, moving=message.moving)
 
     def hears(self, now: float) -> bool:
         """Tell whether the sequencer gives a sign of life at `now`, s of the steady clock."""

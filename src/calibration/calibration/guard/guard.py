@@ -25,7 +25,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from calibration.asks import Server
-from calibration.conversions import joint_positions, stamp_ns, to_outcome, to_permission, to_robot_state, to_stamp
+from calibration.conversions import JointReader, to_outcome, to_permission, to_robot_state, to_stamp
 from calibration.guard.emergency import Emergency
 from calibration.guard.joint_publishers import JointPublishers
 from calibration.guard.latch import Latch, latch_file
@@ -34,15 +34,9 @@ from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.motion.stop import make_stop_path
 from calibration.node import CalibrationNode, run
 from calibration.process_tree import STANDSTILL
-from calibration.rclpy_gaps import Once
+from calibration.rclpy_gaps import Once, Waiting
 from calibration.robot_state.adapter import Confirmation, Received, Report, assemble, checked, confirmed
-from calibration.topics import (
-    PERMISSION,
-    ROBOT_STATE,
-    load_type,
-    several_publishers,
-    subscribe_to_samples,
-)
+from calibration.topics import PERMISSION, ROBOT_STATE, load_type, several_publishers
 from calibration_core.cell import load_cell
 from calibration_core.errors import InputError
 from calibration_core.model.nominal import nominal_parameters, tool_point
@@ -128,7 +122,8 @@ class GuardNode(CalibrationNode):
         newest = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
         kept = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         joint_states = self.cell.topics.joint_states.lstrip("/")
-        subscribe_to_samples(self, JointState, joint_states, self._on_joints, newest, numbered=True)
+        self._joint_states = Waiting(self, JointState, joint_states, newest, raw=True)
+        self._reader = JointReader(self.monitored.chain.joints)
         for key, source in self.adapter.sources.items():
             if not source.is_service:
                 quality = newest if source.max_age is not None else kept
@@ -162,16 +157,17 @@ class GuardNode(CalibrationNode):
             self._confirmation = self._confirmation.after(report.status, now)
         return confirmed(report, self._confirmation, now)
 
-    def _on_joints(self, message: JointState, number: int | None) -> None:
-        now = time.monotonic()
-        if self._joint_publishers.hear(message.name[: len(message.position)], number, now):
-            self.guard.on_new_source()
-        q = joint_positions(message, self.monitored.chain.joints)
-        if q is None:  # another device's joints, or some of ours
-            return
-        stamp = stamp_ns(message.header.stamp)
-        self._joints.add(stamp or self.now_ns(), q)
-        self.guard.on_joints(q, now, stamp / NANOSECONDS if stamp else math.nan)
+    def _take_joints(self) -> None:
+        """Take the joint states that have come: every decision rests on all of them, and on when they arrived."""
+        for payload, arrived, number in self._joint_states.arrivals():
+            sample = self._reader.read(payload)
+            if self._joint_publishers.hear(self._reader.names, number, arrived):
+                self.guard.on_new_source()
+            if sample is None:  # another device's joints, or some of ours
+                continue
+            stamp, q = sample
+            self._joints.add(stamp or self.now_ns(), q)
+            self.guard.on_joints(q, arrived, stamp / NANOSECONDS if stamp else math.nan)
 
     def _ask(self) -> None:
         """Ask the adapter's services again; an answer that does not come is given up, for its server may be gone."""
@@ -187,6 +183,8 @@ class GuardNode(CalibrationNode):
     # --- what is said ------------------------------------------------------------------------------------------------
 
     def _on_pulse(self) -> None:
+        self.health.look()
+        self._emergency.take()
         now = time.monotonic()
         if self._clock_watch.jumped(self.now_ns(), now):
             self.guard.on_clock_jump()
@@ -232,6 +230,7 @@ class GuardNode(CalibrationNode):
 
     def _decide(self, now: float) -> None:
         with self._deciding:
+            self._take_joints()
             self._publish(self.guard.decide(now), now)
 
     def _message(self, decision: GuardDecision, stamp: int, now: float) -> Permission:
@@ -272,9 +271,11 @@ class GuardNode(CalibrationNode):
     # --- what the operator says --------------------------------------------------------------------------------------
 
     def _on_reset(self, request: Any, response: Any) -> Any:
-        now = time.monotonic()
-        decision = self.guard.decide(now) if not request.operator_name.strip() else self.guard.reset(now)
-        self._publish(decision, now)
+        with self._deciding:
+            self._take_joints()
+            now = time.monotonic()
+            decision = self.guard.decide(now) if not request.operator_name.strip() else self.guard.reset(now)
+            self._publish(decision, now)
         response.permission = self._message(decision, self.now_ns(), now)
         if not request.operator_name.strip():
             response.outcome = to_outcome(Outcome.INPUT_UNUSABLE, "the name of who answers for it is missing")

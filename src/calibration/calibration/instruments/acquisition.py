@@ -14,12 +14,12 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 
 from calibration.asks import wait_until
-from calibration.conversions import Mean, Sample, joint_positions, stamp_ns, to_average, to_header, to_outcome
+from calibration.conversions import JointReader, Mean, Sample, stamp_ns, to_average, to_header, to_outcome
 from calibration.instruments.stream import Source, Stream
 from calibration.motion.arrival import ArrivalRules, Joints
 from calibration.node import CalibrationNode, Declared
 from calibration.rclpy_gaps import Background
-from calibration.topics import SAMPLE_CHECK, Quality, Topic, subscribe_to_samples, subscription_profile
+from calibration.topics import SAMPLE_CHECK, Quality, Topic
 from calibration_core.cell import Cell, load_cell
 from calibration_core.observations.samples import Limits, Problem
 from calibration_core.observations.window import SettledWindow, Waiting
@@ -27,6 +27,7 @@ from calibration_core.recording.messages.kinds import StreamKind
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
 LISTENERS_WAIT = 2.0  # s of wall time from the start, in which nothing is averaged that nobody hears
+TICK = 0.02  # s of wall time after which what has come is taken
 LOOK = 0.1  # s of wall time between looks at publishers and problems
 REPORT = 10  # looks between two reports of a stream whose health has not changed
 POLL = 0.005  # s of wall time between looks at an average
@@ -94,6 +95,7 @@ class AcquisitionNode(CalibrationNode):
         self.cell: Cell = load_cell(self.value("cell"))
         self.streams: dict[str, Stream] = {}
         self.joints = Joints(ArrivalRules())
+        self._sender_stamps = self.value("stamp") != RECEIVE
         self._sources: dict[str, Source] = {}
         self._looks = 0
         self._reported: dict[str, Problem] = {}
@@ -105,7 +107,9 @@ class AcquisitionNode(CalibrationNode):
         self._alone_until = time.monotonic() + LISTENERS_WAIT
         for source in self._sources.values():
             source.look()
-        self.create_timer(LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(TICK, self.take, clock=steady)
+        self.create_timer(LOOK, self._look, clock=steady)
 
     def make_streams(self) -> None:
         """Add streams and sources, and offer what is made of them."""
@@ -130,26 +134,35 @@ class AcquisitionNode(CalibrationNode):
         self.streams[stream.name] = stream
         return stream
 
-    def add_source(self, topic: str, kind: str, callback: Callable[[Any], None]) -> Source:
-        """Subscribe to a topic as soon as it is offered."""
-        self._sources[topic] = Source(self, topic, kind, callback)
-        return self._sources[topic]
+    def add_source(self, topic: str, kind: str, callback: Callable[[Any, float], None], *, raw: bool = False) -> None:
+        """Subscribe to a topic as soon as it is offered; see `Source`."""
+        self._sources[topic] = Source(self, topic, kind, callback, raw=raw)
+
+    def take(self) -> None:
+        """Take what has come."""
+        for source in self._sources.values():
+            source.take()
 
     def listen_to_joints(self) -> None:
         """Subscribe to the joint states."""
         topic = Topic(self.cell.topics.joint_states, StreamKind.JOINTS.value, Quality.SAMPLES)
-        quality = subscription_profile(self, topic.relative)
-        subscribe_to_samples(self, topic.message, topic.relative, self._on_joints, quality)
+        reader = JointReader(self.cell.robot.joints)
 
-    def _on_joints(self, message: Any) -> None:
-        q = joint_positions(message, self.cell.robot.joints)
-        if q is not None:
-            self.joints.add(stamp_ns(message.header.stamp) or self.now_ns(), q)
+        def take(payload: bytes, arrived: float) -> None:
+            sample = reader.read(payload)
+            if sample is not None:
+                self.joints.add(sample[0] or self.arrival_ns(arrived), sample[1])
 
-    def stamped(self, sample: Sample) -> Sample:
-        """Return a sample with the time and frame that it is published with."""
-        usable = sample.stamp != 0 and self.value("stamp") != RECEIVE
-        return dataclasses.replace(sample, stamp=sample.stamp if usable else self.now_ns())
+        self.add_source(topic.relative, topic.type, take, raw=True)
+
+    def arrival_ns(self, arrived: float) -> int:
+        """Return when something arrived by the node's clock, ns, given s of the steady clock."""
+        return self.now_ns() - round((time.monotonic() - arrived) * NANOSECONDS)
+
+    def stamped(self, sample: Sample, arrived: float) -> Sample:
+        """Return a sample with the time that it is published with; it arrived at so many s of the steady clock."""
+        usable = sample.stamp != 0 and self._sender_stamps
+        return sample if usable else dataclasses.replace(sample, stamp=self.arrival_ns(arrived))
 
     def labelled(self, sample: Sample) -> Sample:
         """Return a sample with the frame that it is published in."""

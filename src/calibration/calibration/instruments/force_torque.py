@@ -15,7 +15,8 @@ from typing import Any, TypeVar
 import numpy as np
 from calibration_interfaces.msg import Outcome, TareEvent
 from calibration_interfaces.srv import SelfTest, Tare
-from rclpy.clock import Clock, ClockType
+from geometry_msgs.msg import Wrench
+from rclpy.serialization import deserialize_message, serialize_message
 
 from calibration.conversions import (
     FORCE_UNITS,
@@ -24,6 +25,7 @@ from calibration.conversions import (
     WRENCH_INPUTS,
     Mean,
     Sample,
+    WrenchReader,
     to_header,
     to_outcome,
     to_tare,
@@ -42,13 +44,13 @@ from calibration_core.measurement.posture_check import Stood, movement_fault
 from calibration_core.measurement.unloaded import LoadMemory, Unloaded, memory_file
 from calibration_core.planning.plans.tolerances import DEFAULT_TOLERANCES
 from calibration_core.recording.messages.kinds import StreamKind
+from calibration_core.recording.messages.layout import Mould
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
 WRENCH = "wrench"
 JOINTS_WAIT = 2.0  # s of wall time, joint states of a window may come after its last sample
 MASS_SHARE, AXES, UNEXPLAINED = 0.05, 0.05, 5.0  # share, rad, N: by which a tested sensor may be off
 PRESENT = 0.5  # s by the samples' stamps, over which the present wrench is averaged
-PRESENT_PERIOD = 0.02  # s of wall time between two of them
 PRESENT_SAMPLES = 1000  # at most
 LARGEST_TORQUE = 20000.0  # N*m, beyond which a sample is implausible
 SETTLED_FORCE, SETTLED_TORQUE = 5.0, 2.5  # N, N*m: change over a window that does not matter
@@ -76,8 +78,11 @@ class ForceTorqueNode(AcquisitionNode):
 
     def make_streams(self) -> None:
         """Make the one stream, and listen to the joint states, too."""
-        self._units = FORCE_UNITS[self.value("force_unit")], TORQUE_UNITS[self.value("torque_unit")]
-        self._sign = SIGNS[self.value("sign")]
+        units = FORCE_UNITS[self.value("force_unit")], TORQUE_UNITS[self.value("torque_unit")]
+        self._scale = SIGNS[self.value("sign")] * np.repeat(units, 3)
+        stamped = self.value("input_type") == "WrenchStamped"
+        self._read = WrenchReader().read if stamped else lambda one: wrench_sample(deserialize_message(one, Wrench))
+        self._mould: tuple[str, Mould | None] = "", None  # for one frame
         self._bias: Float1D = np.zeros(6)
         self._number, self._tares = 0, 0
         self._busy = False
@@ -93,9 +98,8 @@ class ForceTorqueNode(AcquisitionNode):
         self._recent: collections.deque[Sample] = collections.deque(maxlen=PRESENT_SAMPLES)
         self._published = 0  # stamp of the last sample in the present wrench, ns
         self._present = self.create_publisher(PRESENT_WRENCH.message, PRESENT_WRENCH.relative, PRESENT_WRENCH.qos)
-        self.create_timer(PRESENT_PERIOD, self._publish_present, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._tare_events = self.create_publisher(TARE.message, TARE.relative, TARE.qos)
-        self.add_source(topic, WRENCH_INPUTS[self.value("input_type")], self._on_wrench)
+        self.add_source(topic, WRENCH_INPUTS[self.value("input_type")], self._on_wrench, raw=True)
         self.create_service(Tare, "~/tare", self._on_tare, callback_group=self.group)
         self.create_service(SelfTest, "~/self_test", self._on_self_test, callback_group=self.group)
         self.listen_to_joints()
@@ -114,23 +118,38 @@ class ForceTorqueNode(AcquisitionNode):
         """Return the number of the tare in force; 0: none."""
         return self._number
 
-    def _on_wrench(self, message: Any) -> None:
-        read = wrench_sample(message, *self._units)
-        raw = self.stamped(dataclasses.replace(read, values=self._sign * read.values))
-        tared = dataclasses.replace(raw, values=raw.values - self._bias)
-        if self._stream.take(tared, raw.stamp):
-            self._recent.append(tared)
+    def take(self) -> None:
+        """Take what has come, and tell what pulls now."""
+        super().take()
+        self._publish_present()
+
+    def _on_wrench(self, payload: bytes, arrived: float) -> None:
+        sample = self.stamped(self._read(payload), arrived)
+        sample = dataclasses.replace(sample, values=self._scale * sample.values - self._bias)
+        if self._stream.take(sample, sample.stamp):
+            if self._recent and sample.stamp < self._recent[-1].stamp:
+                self._recent.clear()  # the sensor's clock went back
+            self._recent.append(sample)
             if self._forwards:
-                self._publisher.publish(to_wrench_stamped(self.labelled(tared)))
+                self._publisher.publish(self._serialised(sample))
+
+    def _serialised(self, sample: Sample) -> bytes:
+        frame, mould = self._mould
+        if mould is None or sample.frame != frame:
+            first = serialize_message(to_wrench_stamped(self.labelled(sample)))
+            mould = Mould(StreamKind.WRENCH, first)
+            self._mould = sample.frame, mould
+        return mould.cast(sample.stamp, sample.values.tolist())
 
     def _publish_present(self) -> None:
         """Tell what pulls now, where anything has come: who looks at the load needs no sample of its own."""
         if not self._recent or self._recent[-1].stamp == self._published:
             return
         last = self._recent[-1]
-        self._published = last.stamp
-        lately = [one.values for one in self._recent if last.stamp - PRESENT * NANOSECONDS <= one.stamp <= last.stamp]
-        mean = dataclasses.replace(last, values=np.mean(lately, axis=0))
+        self._published, since = last.stamp, last.stamp - PRESENT * NANOSECONDS
+        while self._recent[0].stamp < since:
+            self._recent.popleft()
+        mean = dataclasses.replace(last, values=np.mean([one.values for one in self._recent], axis=0))
         self._present.publish(to_wrench_stamped(self.labelled(mean)))
 
     # --- tare -------------------------------------------------------------------------------------------------

@@ -9,15 +9,15 @@ from collections.abc import Callable
 from typing import Any
 
 from calibration_interfaces.msg import SampleCheck
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
 from calibration.conversions import Sample
+from calibration.rclpy_gaps import Waiting as Messages
 from calibration.topics import (
+    SAMPLES_DEPTH,
     incompatible,
     message_class,
     several_publishers,
-    subscribe_to_samples,
     subscription_profile,
 )
 from calibration_core.errors import InputError
@@ -36,38 +36,44 @@ class Source:
         complaint: Why publishers cannot be heard, empty if they can.
     """
 
-    def __init__(self, node: Node, name: str, kind: str, callback: Callable[[Any], None]) -> None:
+    def __init__(
+        self, node: Node, name: str, kind: str, callback: Callable[[Any, float], None], *, raw: bool = False
+    ) -> None:
         """Prepare; `look` subscribes, once there is a publisher.
 
         Args:
             node: The node.
             name: Topic.
             kind: Message type, `package/msg/Name`.
-            callback: What gets the messages.
+            callback: What gets the messages, and when they arrived, s of the steady clock.
+            raw: Whether messages stay bytes, as CDR.
 
         Raises:
             InputError: The package of the message is not installed.
         """
         self.name = name
         self.complaint = ""
-        self._node, self._type, self._callback = node, _installed(name, kind), callback
-        self._group = MutuallyExclusiveCallbackGroup()
-        self._subscription: Any = None
+        self._node, self._type, self._callback, self._raw = node, _installed(name, kind), callback, raw
+        self._messages: Messages | None = None
         self._profile: Any = None
 
     def look(self) -> None:
         """Subscribe once somebody publishes; subscribe anew if a publisher cannot be heard."""
         if not self._node.get_publishers_info_by_topic(self.name):
             return
-        if self._subscription is not None:
+        if self._messages is not None:
             self.complaint = "; ".join(incompatible(self._node, self.name, self._profile))
             if not self.complaint:
                 return
-            self._node.destroy_subscription(self._subscription)
+            self._node.destroy_subscription(self._messages.subscription)
         self._profile = subscription_profile(self._node, self.name)
-        self._subscription = subscribe_to_samples(
-            self._node, self._type, self.name, self._callback, self._profile, callback_group=self._group
-        )
+        self._messages = Messages(self._node, self._type, self.name, self._profile, raw=self._raw)
+
+    def take(self) -> None:
+        """Hand over what has come."""
+        if self._messages is not None:
+            for message, arrived, _ in self._messages.arrivals(SAMPLES_DEPTH):
+                self._callback(message, arrived)
 
 
 def _installed(topic: str, kind: str) -> Any:

@@ -121,7 +121,7 @@ class TrackerNode(AcquisitionNode):
         kind, read = POINT_INPUTS[self.value("input_type")]
         self._alone[name] = tuple({topic, *self._alone[name]})
         stream = self._stream(name, topic)
-        self.add_source(topic, kind, lambda message: self._take(stream, read(message, self._unit)))
+        self.add_source(topic, kind, lambda message, arrived: self._take(stream, read(message, self._unit), arrived))
 
     def _listen_to_transforms(self, names: Sequence[str], frames: Sequence[str]) -> None:
         targets = dict(zip(frames, names, strict=True))
@@ -129,9 +129,9 @@ class TrackerNode(AcquisitionNode):
             self._stream(name, TF_TOPIC)
         self.add_source(TF_TOPIC, TF_TYPE, partial(self._on_transforms, targets))
 
-    def _on_transforms(self, targets: dict[str, str], message: Any) -> None:
+    def _on_transforms(self, targets: dict[str, str], message: Any, arrived: float) -> None:
         for name, sample in transforms(message, targets, self._unit).items():
-            self._take(self.streams[name], sample)
+            self._take(self.streams[name], sample, arrived)
 
     def _stream(self, name: str, topic: str) -> Stream:
         limits = self.limits((self.value("largest"),), (FASTEST,))
@@ -144,9 +144,9 @@ class TrackerNode(AcquisitionNode):
             expected = f"another, for what is corrected is published on {output.relative}"
             raise ParameterError(self.get_name(), "topics", repr(output.relative), expected)
 
-    def _take(self, stream: Stream, sample: Sample) -> None:
-        own, now, timed = sample.stamp, self.now_ns(), True
-        sample, self._unstamped = self.stamped(sample), not own
+    def _take(self, stream: Stream, sample: Sample, arrived: float) -> None:
+        own, now, timed = sample.stamp, self.arrival_ns(arrived), True
+        sample, self._unstamped = self.stamped(sample, arrived), not own
         clock = self._own_clock if own else None
         if clock is not None:
             stamp = clock.by_robot(own, now)

@@ -67,7 +67,7 @@ class Prover:
 
         The clock of a simulated robot stands still while its computer is busy: its fastest pace counts.
         """
-        clock = self._node.get_clock().now().nanoseconds
+        clock = self._node.now_ns()
         if self._looked is None:
             self._looked = now, clock
         elif now - self._looked[0] >= LOOK:

@@ -33,7 +33,7 @@ from calibration_core.motion.trajectory import MotionLimits, Trajectory, plan_mo
 from calibration_core.planning.plans.plan import REFERENCE_NUMBER
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
-LOOK = 0.01  # s of wall time between two looks while nothing happens
+LOOK = 0.02  # s of wall time between two looks while nothing happens: what is heard comes on a tick as long
 TICK = 0.1  # s of wall time between two ticks of the procedure
 CALM = 10.0  # s, a robot may take to come to rest before it is moved
 LATE = 3.0  # s, joint states may lag behind a driver's success, and ...

@@ -191,6 +191,8 @@ class SequencerNode(CalibrationNode):
             if sample is not None:
                 self.joints.add(sample[0] or self.now_ns(), sample[1])
         self.conditions.take()
+        self.equipment.take()
+        self.health.look()
         if self._wrench is not None:
             self._wrench.take()
 
