@@ -79,7 +79,7 @@ class Aim:
         """Return how far from a target's place something is, and how far it may be in that direction, m."""
         way = found - self.place(name, q)
         off = float(np.linalg.norm(way))
-        along = way / max(off, 1e-12)
+        along = way / off if off else np.full(3, 3**-0.5)  # any direction
         return off, DEVIATIONS / float(np.sqrt(along @ np.linalg.solve(self._spread(name, q)[1], along)))
 
     def _spread(self, name: str, q: Float1D) -> tuple[Float2D, Float2D]:

@@ -42,6 +42,7 @@ def test_the_cell_files_pose_is_what_it_begins_with(cell: Cell) -> None:
     pose = pose_matrix(np.array(stated.xyz), np.array(stated.rpy))
     for name in cell.points:
         np.testing.assert_allclose(Aim(cell).place(name, Q), seen(cell, name, Q, pose), atol=1e-12)
+        assert Aim(cell).fault(name, Q, Aim(cell).place(name, Q)) == ""
 
 
 def test_without_the_trackers_pose_nobody_can_aim(cell: Cell) -> None:
