@@ -557,7 +557,8 @@ def test_an_operator_changes_the_order_and_leaves_a_point_out(
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"driver": "emscon"}, "driver: found 'emscon', expected one of stream, line, file, manual"),
+        ({"driver": "radio"}, "driver: found 'radio', expected one of stream, line, emscon, file, manual"),
+        ({"driver": "emscon", "address": "700"}, "address: found '700', expected host:port"),
         ({"driver": "line", "address": "here"}, "address: found 'here', expected host:port"),
         ({"driver": "line", "template": "none.yaml"}, "none.yaml: found No such file"),
     ],

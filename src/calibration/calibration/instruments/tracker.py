@@ -30,6 +30,7 @@ from calibration.conversions import (
 )
 from calibration.instruments.acquisition import RECEIVE, SENDER, AcquisitionNode, MeasuringError, Request
 from calibration.instruments.drivers import Driver
+from calibration.instruments.drivers.emscon import Emscon
 from calibration.instruments.drivers.line import Line, load_template
 from calibration.instruments.drivers.written import Table, Typed
 from calibration.instruments.one_beam import IDLE, OneBeam
@@ -41,15 +42,17 @@ from calibration_core.measurement.sender_clock import ClockFromMotion
 from calibration_core.recording.definitions.own import TRACKER_CLOCK
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
-TF, STREAM, LINE, FILE, MANUAL = "tf", "stream", "line", "file", "manual"
+TF, STREAM, LINE, EMSCON, FILE, MANUAL = "tf", "stream", "line", "emscon", "file", "manual"
 TF_TOPIC = "/tf"
 SENDER_OFFSET = "sender_offset"
 BEFORE, LONGEST = 1.0, 50.0  # s before a motion that belong to it, and after which it is looked at while it lasts
 FASTEST = 6.0  # m/s, beyond which a sample is a jump: more than any robot's flange moves
 
 PARAMETERS = (
-    Declared("driver", STREAM, "How the tracker is asked.", choices=(STREAM, LINE, FILE, MANUAL)),
-    Declared("address", "127.0.0.1:7000", "Host and port of the tracker's program, for line."),
+    Declared("driver", STREAM, "How the tracker is asked.", choices=(STREAM, LINE, EMSCON, FILE, MANUAL)),
+    Declared(
+        "address", "127.0.0.1:7000", "Host and port: of the tracker's program, for line; of the tracker, for emscon."
+    ),
     Declared("template", "plain", "How it speaks, for line: one of config/trackers, or a file."),
     Declared("table", "tracker.csv", "File to which the tracker's program appends, for file."),
     Declared(
@@ -232,6 +235,8 @@ class TrackerNode(AcquisitionNode):
         host, _, port = self.value("address").rpartition(":")
         if not host or not port.isdecimal() or not 0 < int(port) < 65536:
             raise ParameterError(self.get_name(), "address", repr(self.value("address")), "host:port")
+        if kind == EMSCON:
+            return Emscon((host, int(port)))
         return Line((host, int(port)), load_template(self.value("template")))
 
     def on_end(self) -> None:
