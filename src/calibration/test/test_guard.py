@@ -148,20 +148,20 @@ def test_a_guard_that_was_held_up_takes_what_waits_before_it_decides(spinning: A
     cell = Cell(spinning, max_joints_age=0.4)
     until(cell.permitted)
     cell.robot.timer.cancel()
-    told, over = len(cell.heard), threading.Event()
+    before, over = len(cell.heard), threading.Event()
 
     def hold() -> None:
         for _ in range(30):
             if come:
                 cell.robot.send()
-            time.sleep(0.02)
+            time.sleep(0.02)  # this is what holds it up, for longer than joint states may be old
         cell.robot.timer.reset()
         over.set()
 
     cell.guard.executor.create_task(hold)
     until(over.is_set)
-    until(lambda: len(cell.heard) >= told + 10)
-    assert any(Permission.JOINTS_STALE in one.reasons for one in cell.heard[told:]) is not come
+    until(lambda: len(cell.heard) >= before + 10)
+    assert any(Permission.JOINTS_STALE in one.reasons for one in cell.heard[before:]) is not come
 
 
 FAULTS: list[tuple[int, dict[str, Any]]] = [  # what is heard of the robot, as it differs from a good one that stands
@@ -183,7 +183,7 @@ def test_what_is_heard_of_the_robot_is_judged_told_at_once_and_latched(spinning:
     cell.robot.node.create_subscription(Log, "/rosout", logged.append, 100)
     for reason, fault in FAULTS:
         until(cell.permitted)
-        told = len(cell.heard)
+        before = len(cell.heard)
         for name, value in fault.items():
             setattr(cell.robot, name, value)
         until(cell.why(reason), what=f"{reason}: {cell.now.text}")
@@ -192,7 +192,7 @@ def test_what_is_heard_of_the_robot_is_judged_told_at_once_and_latched(spinning:
         refused = cell.reset()
         assert refused.outcome.code == Outcome.NOT_PERMITTED
         assert reason in refused.permission.reasons
-        text = next(one.text for one in cell.heard[told:] if reason in one.reasons)
+        text = next(one.text for one in cell.heard[before:] if reason in one.reasons)
         until(lambda text=text: any(one.level == Log.WARN and text in one.msg for one in logged), what=text)
         stands = cell.robot.q if "rate" in fault else np.zeros(6)
         cell.robot.state, cell.robot.q, cell.robot.rate, cell.robot.late = dict(GOOD), stands, np.zeros(6), 0.0

@@ -22,26 +22,10 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from calibration.rclpy_gaps import (
-    IN_A_TURN,
-    Background,
-    RCLError,
-    Waiting,
-    given_parameters,
-    hidden,
-    in_executor,
-)
+from calibration.rclpy_gaps import IN_A_TURN, Background, RCLError, Waiting, given_parameters, hidden, in_executor
 from calibration.topics import SAMPLES_DEPTH
 
 SENT = 3 * IN_A_TURN
-
-
-def spun(context: Any, node: Any, turns: int) -> None:
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    for _ in range(turns):
-        executor.spin_once(timeout_sec=0.2)
-    executor.shutdown()
 
 
 @pytest.fixture
@@ -88,7 +72,7 @@ def test_what_waits_is_as_old_as_it_is(waiting: Any) -> None:
     began = time.monotonic()
     send(2)
     sent = time.monotonic()
-    time.sleep(0.3)
+    time.sleep(0.3)  # nobody looks
     found = [(one.position[0], arrived, number) for one, arrived, number in kept.arrivals()]
     assert [(value, number) for value, _, number in found] == [(0.0, 1), (1.0, 2)]
     assert began <= found[0][1] <= found[1][1] <= sent

@@ -111,7 +111,7 @@ class Tracker:
     def measured(self, fault: str) -> list[bytes | None]:
         if self.place is None:
             return [answer(49, 10004)]
-        time.sleep(struct.unpack_from("<i", self.settings[29])[0] / 1e3)
+        time.sleep(struct.unpack_from("<i", self.settings[29])[0] / 1e3)  # a tracker takes its measuring time
         extended = struct.unpack_from("<i", self.settings[81])[0] == 1
         place = self.stated(self.place)
         begun, good = answer(49), result(place, extended=extended)

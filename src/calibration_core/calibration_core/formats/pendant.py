@@ -88,7 +88,7 @@ def _abb(name: str, remarks: Sequence[str], stops: Sequence[Halt]) -> str:
     lines = [f"MODULE {name}", *(f"  ! {one}" for one in remarks)]
     lines += [
         f"  ! Start with PP to Routine, {name}_run. Enter what the flange carries: kg, centre of gravity in mm.",
-        "  LOCAL PERS tooldata carried:=[TRUE,[[0,0,0],[1,0,0,0]],[0.001,[0,0,0.001],[1,0,0,0],0,0,0]];",
+        "  LOCAL PERS tooldata on_flange:=[TRUE,[[0,0,0],[1,0,0,0]],[0.001,[0,0,0.001],[1,0,0,0],0,0,0]];",
         "  LOCAL CONST speeddata slow:=[50,5,50,5];",
     ]
     run = []
@@ -97,7 +97,7 @@ def _abb(name: str, remarks: Sequence[str], stops: Sequence[Halt]) -> str:
         outer = ",".join(stop.axes[axis][0] if axis in stop.axes else absent for axis, absent in ABSENT.items())
         lines.append(f"  LOCAL CONST jointtarget s{k}:=[[{own}],[{outer}]];")
         speed = "slow" if stop.speed is None else f"slow\\T:={stop.speed:.1f}"
-        run += ["    only_manual;", f"    MoveAbsJ s{k}\\NoEOffs,{speed},fine,carried;"]
+        run += ["    only_manual;", f"    MoveAbsJ s{k}\\NoEOffs,{speed},fine,on_flange;"]
         run += [f'    TPWrite "{stop.text[:80]}";', "    Stop;"]
     lines += [f"  PROC {name}_run()", *run, "  ENDPROC", "  LOCAL PROC only_manual()"]
     lines += ["    WHILE OpMode()<>OP_MAN_PROG DO", '      TPWrite "Manual reduced speed only.";', "      Stop;"]

@@ -11,17 +11,14 @@ from __future__ import annotations
 
 import contextlib
 import math
-import socket
 import struct
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from calibration.instruments.drivers import DriverError, Seen, Wait
+from calibration.instruments.drivers import Connection, DriverError, Seen, Wait
 from calibration_core.timeseries import Float1D, Float2D
 
-CONNECT = 1.0  # s of wall time, in which a tracker of the same network has accepted a connection
 SMALLEST, LARGEST = 8, 1 << 16  # bytes of a packet
 COMMAND, ERROR, EVENT, PLAIN, EXTENDED = 0, 1, 8, 2, 9  # kinds of packets
 SHORTEST = {COMMAND: 16, ERROR: 16, EVENT: 12, PLAIN: 16, EXTENDED: 16}  # bytes of those that are read
@@ -87,23 +84,14 @@ SETTINGS = (
 )
 
 
-class Emscon:
-    """Asks one command at a time.  After whatever went wrong it connects anew: no late answer is taken for another."""
+class Emscon(Connection):
+    """Asks one command at a time."""
 
-    by_hand = False
-
-    def __init__(self, address: tuple[str, int]) -> None:
-        """Take host and port; the first request connects."""
-        self.name = f"{address[0]}:{address[1]}"
-        self.awaited = ""
-        self._address = address
-        self._socket: socket.socket | None = None
-        self._pending = b""
-        self._measuring = False
+    _measuring = False
 
     def aim(self, point: str, place: Float1D, wait: Wait) -> None:  # noqa: ARG002  # the tracker knows places alone
         """Connect, if need be, see whether it is ready, set it up, and have it look for a reflector."""
-        with self._connection():
+        with self.closing_on_errors():
             _last, processor, laser = self._ask(SYSTEM_STATUS, "state how it is", wait, size=3)
             if processor != INITIALIZED:
                 raise DriverError(f"{self.name} is not initialized: do that with its own program")
@@ -116,12 +104,12 @@ class Emscon:
     def measure(self, window: float, wait: Wait) -> list[Seen]:
         """Have it measure once, for as long; what it is set to has to be the same before and after."""
         settings = (*SETTINGS, Setting("measuring time", 28, 2, {0: math.ceil(1e3 * window)}))  # ms
-        with self._connection():
+        with self.closing_on_errors():
             for setting in settings:
                 self._set(setting, wait)
             begin = wait()
             self._measuring = True
-            self._send(START)
+            self._command(START)
             place, covariance = self._result(wait)
             self._measuring = False
             end = max(wait(), begin + 1)
@@ -132,12 +120,11 @@ class Emscon:
 
     def close(self) -> None:
         """End what it measures, and the connection."""
-        if self._socket is not None:
-            if self._measuring:
-                with contextlib.suppress(OSError):  # the connection may be what is lost
-                    self._send(STOP)
-            self._socket.close()
-        self._socket, self._pending, self._measuring = None, b"", False
+        if self._measuring and self.connected:
+            with contextlib.suppress(OSError):  # the connection may be what is lost
+                self._command(STOP)
+        self._measuring = False
+        super().close()
 
     def _set(self, setting: Setting, wait: Wait) -> None:
         """Have a setting be as it has to be, and read whether it is."""
@@ -153,7 +140,7 @@ class Emscon:
 
     def _ask(self, command: int, what: str, wait: Wait, body: bytes = b"", size: int = 0) -> tuple[int, ...]:
         """Return so many integers of the answer; what else comes meanwhile answers nothing."""
-        self._send(command, body)
+        self._command(command, body)
         self.awaited = f"{self.name} does not answer"
         while True:
             kind, packet = self._packet(wait)
@@ -200,52 +187,24 @@ class Emscon:
             raise DriverError(f"{self.name} states deviations and covariances that cannot be: {numbers[3:10]}")
         return np.array(numbers[:3]), covariance if covariance.any() else None
 
-    @contextlib.contextmanager
-    def _connection(self) -> Iterator[None]:
-        """Close whatever goes wrong."""
-        try:
-            yield
-        except OSError as error:
-            self.close()
-            raise DriverError(f"the connection to {self.name} was lost: {error}") from error
-        except BaseException:
-            self.close()
-            raise
-
-    def _stream(self) -> socket.socket:
-        """Connect, if need be."""
-        if self._socket is None:
-            try:
-                self._socket = socket.create_connection(self._address, CONNECT)
-            except OSError as error:
-                raise DriverError(f"{self.name} cannot be reached: {error}") from error
-            self._socket.setblocking(False)
-        return self._socket
-
-    def _send(self, command: int, body: bytes = b"") -> None:
-        self._stream().sendall(struct.pack("<3i", 12 + len(body), COMMAND, command) + body)
+    def _command(self, number: int, body: bytes = b"") -> None:
+        self.send(struct.pack("<3i", 12 + len(body), COMMAND, number) + body)
 
     def _packet(self, wait: Wait) -> tuple[int, bytes]:
         """Wait for a whole packet whose kind is known; return its kind, and all of its bytes."""
         while True:
-            size, kind = struct.unpack_from("<2i", self._pending) if len(self._pending) >= SMALLEST else (SMALLEST, -1)
+            size, kind = struct.unpack_from("<2i", self.pending) if len(self.pending) >= SMALLEST else (SMALLEST, -1)
             if not (SHORTEST.get(kind, SMALLEST) <= size <= LARGEST):
                 raise DriverError(f"{self.name} sends a packet of {size} bytes: it does not speak as an emScon server")
-            if len(self._pending) < size:
-                self._receive(wait)
+            if len(self.pending) < size:
+                if self.receive():
+                    within = f", within a packet, after {len(self.pending)} bytes" if self.pending else ""
+                    raise self.lost(f"it was closed by the other side{within}")
+                wait()
                 continue
-            packet, self._pending = self._pending[:size], self._pending[size:]
+            packet, self.pending = self.pending[:size], self.pending[size:]
             if kind in SHORTEST:
                 return kind, packet
-
-    def _receive(self, wait: Wait) -> None:
-        with contextlib.suppress(BlockingIOError):
-            data = self._stream().recv(LARGEST)
-            if not data:
-                within = f", within a packet, after {len(self._pending)} bytes" if self._pending else ""
-                raise DriverError(f"the connection to {self.name} was lost: it was closed by the other side{within}")
-            self._pending += data
-        wait()
 
 
 def reason(status: int) -> str:

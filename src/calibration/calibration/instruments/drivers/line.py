@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
-import socket
 from pathlib import Path
 
 import numpy as np
 from pydantic import model_validator
 
 from calibration.conversions import LENGTH_UNITS
-from calibration.instruments.drivers import AXES, DriverError, Seen, Wait
+from calibration.instruments.drivers import AXES, Connection, DriverError, Seen, Wait
 from calibration.tables import Strict, read_table, shipped
 from calibration_core.cell.values import FieldError
 from calibration_core.errors import quoted
 from calibration_core.timeseries import NANOSECONDS, Float1D
 
-CONNECT = 1.0  # s of wall time, in which a computer of the same network has accepted a connection
 LONGEST = 10_000  # bytes of an answer
 WORDS: dict[str, str | float] = {"point": "", **dict.fromkeys((*AXES, "window"), 0.0)}  # that a request may contain
 
@@ -91,19 +88,13 @@ def load_template(name: str) -> Template:
     return read_table(own if own.is_file() else Path(name), Template, "a tracker's program")
 
 
-class Line:
-    """Asks one line at a time.  After whatever went wrong it connects anew: no late answer is taken for another."""
-
-    by_hand = False
+class Line(Connection):
+    """Asks one line at a time."""
 
     def __init__(self, address: tuple[str, int], template: Template) -> None:
         """Take host and port; the first request connects."""
-        self.name = f"{address[0]}:{address[1]}"
-        self.awaited = ""
-        self._address, self._template, self._unit = address, template, LENGTH_UNITS[template.units]
-        self._end = template.end.encode()
-        self._socket: socket.socket | None = None
-        self._pending = b""
+        super().__init__(address)
+        self._template, self._unit, self._end = template, LENGTH_UNITS[template.units], template.end.encode()
         self._words = dict(WORDS)
 
     def aim(self, point: str, place: Float1D, wait: Wait) -> None:
@@ -123,12 +114,6 @@ class Line:
             begin = found[-1].end
         return found
 
-    def close(self) -> None:
-        """Close the connection."""
-        if self._socket is not None:
-            self._socket.close()
-        self._socket, self._pending = None, b""
-
     def _seen(self, answer: re.Match[str], begin: int, end: int) -> Seen:
         groups = answer.groupdict()
         if groups.get("point") not in (None, self._words["point"]):
@@ -143,56 +128,34 @@ class Line:
 
     def _ask(self, request: Request, wait: Wait) -> re.Match[str]:
         self.awaited = f"{self.name} does not answer"
-        try:
-            stream = self._connected()
-            while (line := self._line(stream)) is not None:
+        with self.closing_on_errors():
+            while (line := self._line()) is not None:
                 self._refuse_unless_ignored(line, "without being asked")
-            stream.sendall(request.send.format(**self._words).encode() + self._end)
+            self.send(request.send.format(**self._words).encode() + self._end)
             while True:
-                while (line := self._line(stream)) is None:
+                while (line := self._line()) is None:
                     wait()
                 if answer := re.fullmatch(request.answer, line):
                     return answer
                 if answer := re.fullmatch(request.refused, line):
                     raise DriverError(f"{self.name} refuses: {answer.groupdict().get('why') or line}")
                 self._refuse_unless_ignored(line, f"expected {quoted(request.answer)}")
-        except OSError as error:
-            self.close()
-            raise DriverError(f"the connection to {self.name} was lost: {error}") from error
-        except BaseException:
-            self.close()
-            raise
 
     def _refuse_unless_ignored(self, line: str, why: str) -> None:
         if not re.fullmatch(self._template.ignore, line):
             raise DriverError(f"{self.name} says {quoted(line)}, {why}")
 
-    def _connected(self) -> socket.socket:
-        if self._socket is None:
-            try:
-                self._socket = socket.create_connection(self._address, CONNECT)
-            except OSError as error:
-                raise DriverError(f"{self.name} cannot be reached: {error}") from error
-            self._socket.setblocking(False)
-        return self._socket
-
-    def _line(self, stream: socket.socket) -> str | None:
+    def _line(self) -> str | None:
         """Return the next line that has come, if a whole one has."""
-        closed = False
-        with contextlib.suppress(BlockingIOError):
-            data = stream.recv(LONGEST)
-            closed = not data
-            self._pending += data
-        line, end, rest = self._pending.partition(self._end)
+        closed = self.receive()
+        line, end, rest = self.pending.partition(self._end)
         text = line.decode(errors="replace")
         if end:
-            self._pending = rest
+            self.pending = rest
             return text
         if closed or len(line) > LONGEST:
             why = "it was closed by the other side" if closed else "no line has an end"
-            raise DriverError(
-                f"the connection to {self.name} was lost: {why}" + (f", within {quoted(text)}" if line else "")
-            )
+            raise self.lost(why + (f", within {quoted(text)}" if line else ""))
         if line:
             self.awaited = f"{self.name} stops within {quoted(text)}"
         return None

@@ -26,7 +26,7 @@ from calibration_core.files.yaml_file import read_yaml
 from calibration_core.formats.pendant import MAKERS, Halt, Maker, plain
 from calibration_core.model.nominal import nominal_parameters, tool_point
 from calibration_core.model.robot import chain_of
-from calibration_core.motion.speed import Monitored, hermite_bound
+from calibration_core.motion.speed import REFINED, Monitored, hermite_bound
 from calibration_core.motion.trajectory import MotionLimits
 from calibration_core.outcomes.inputs import digest_of
 from calibration_core.planning.plans.measurement_queue import Item, SequenceRules
@@ -43,8 +43,6 @@ from calibration_core.report.writing.output import RESULT, write_files
 from calibration_core.timeseries import Float1D, Float2D
 
 NAMES = ("calib", "calib_s", "calib_w")  # of the programs: at most 8 letters, as old controllers of Yaskawa take them
-PIECES = 256  # of a straight line in joint space, on each of which its speed is bounded
-SHORTEST = 2.0  # s, of a motion of stated duration
 DIGITS = {"deg": 4, "mm": 4, "rad": 6, "pulses": 0}
 NEEDED = {"--axis-speeds": ("kuka", "yaskawa"), "--pulses": ("yaskawa",)}  # option -> makers
 
@@ -224,7 +222,7 @@ def _halts(items: Sequence[Item], cell: Cell, plan: Plan, axes: _Axes, maker: Ma
         if k:
             line = q[k] - q[k - 1]
             ends = np.stack([line, line])
-            each = float(hermite_bound(monitored, np.array([0.0, 1.0]), q[k - 1 : k + 1], ends, PIECES).max())
+            each = float(hermite_bound(monitored, np.array([0.0, 1.0]), q[k - 1 : k + 1], ends, REFINED[-1]).max())
             fast = float(np.min(limits.joint_speed)) / max(float(np.abs(line).max()), 1e-9)
             most = min(limits.allowed / max(each, 1e-9), fast)  # share of the way per s
             speed, pace = _speed(maker, np.abs(values[k] - values[k - 1]) / axes.fastest, most)
@@ -251,7 +249,7 @@ def _speed(maker: Maker, way: Float1D, most: float) -> tuple[float, float]:
         most: Largest share of the way per s that is allowed.
     """
     if maker.speed == "s":
-        seconds = max(math.ceil(MOTION_PEAK / most / maker.step) * maker.step, SHORTEST)
+        seconds = max(math.ceil(MOTION_PEAK / most / maker.step) * maker.step, maker.step)
         return seconds, MOTION_PEAK / seconds
     fastest = float(way.max()) * (100.0 if maker.speed == "%" else 1.0)  # where the whole way takes 1 s
     stated = min(max(math.floor(most * fastest / maker.step) * maker.step, maker.step), 100.0)
